@@ -1,0 +1,63 @@
+# make help lists the targets. Every target rebuilds what changed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PACKAGES := git make g++ python3-dev python3-venv
+NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
+CPUS := $(shell nproc 2>/dev/null || echo 2)
+
+.PHONY: help demo test lint clean install
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    validate the bundled scenes against Mitsuba and write report/index.html"
+	@echo "make test    run the whole test suite"
+	@echo "make lint    ruff, mypy, clang-format, import-linter"
+	@echo "make clean   remove everything that the other targets made"
+
+# The system packages, checked by what they bring.
+$(VENV)/checked: Makefile
+	@missing=; \
+	command -v git >/dev/null || missing="$$missing git"; \
+	command -v g++ >/dev/null || missing="$$missing g++"; \
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || missing="$$missing python3(>=3.11)"; \
+	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	$(PYTHON) -c 'import os, sys, sysconfig; sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")))' 2>/dev/null || missing="$$missing python3-dev"; \
+	if [ -n "$$missing" ]; then \
+		echo "error: missing on this system:$$missing"; \
+		echo "  hint: sudo apt-get install $(PACKAGES)"; \
+		exit 2; \
+	fi
+	@mkdir -p $(VENV) && touch $@
+
+# What the project needs to be built, tested and checked: the group `dev` of pyproject.toml.
+$(VENV)/dependencies: $(VENV)/checked pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
+	$(BIN)/pip install --quiet --group dev
+	@touch $@
+
+# Editable: Python files are used where they lie; C++ is compiled again when it changed.
+$(VENV)/installed: $(VENV)/dependencies CMakeLists.txt $(NATIVE)
+	$(BIN)/pip install --quiet --no-build-isolation --editable .
+	@touch $@
+
+install: $(VENV)/installed
+
+demo: install
+	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report
+	@$(BIN)/whitted renderers --missing
+
+test: install
+	$(BIN)/python -m pytest -n $(CPUS) --dist worksteal; status=$$?; $(BIN)/whitted renderers --missing; exit $$status
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
+
+clean:
+	rm -rf $(VENV) build dist report tracer/_native.pyi .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,93 @@
+// What a kernel is given: the scene's constants in the kernel's precision, and a span of pixels to fill. Plain data only.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace whitted {
+
+// One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
+template <class Real>
+struct SphereConstants {
+    double center[3];          // p
+    Real scale[3];             // |s|
+    Real inverse_scale[3];     // 1 / |s|
+    Real eye[3];               // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;            // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real tangent;              // primary rays: |D| up to this counts as 0
+    Real ambient[3];           // Ka Ia O
+    Real color[3];             // O
+    Real reflection;           // Kr
+    Real exponent;             // n
+    std::int32_t integer;      // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;        // in the scene, what the pass `id` shows
+    bool lit;                  // Kd or Ks is not 0
+    bool specular;             // Ks is not 0
+    const Real *light_terms;   // a light's Kd Ip (three) and Ks Ip (three), one light after the other
+    const unsigned char *light_on;  // whether a light lies on this sphere's surface
+};
+
+template <class Real>
+struct LightConstants {
+    double position[3];
+    bool dark;  // all intensities are 0
+};
+
+template <class Real>
+struct SceneConstants {
+    const SphereConstants<Real> *spheres;
+    const LightConstants<Real> *lights;
+    std::size_t sphere_count;
+    std::size_t light_count;
+    Real background[3];
+    Real shadow_epsilon;
+    std::int32_t max_reflections;
+};
+
+// Where a span's results go: a plane of `count` values each, null where a pass is not asked for. The planes of shadow
+// and of the single reflections hold zeros before the call.
+template <class Real>
+struct Planes {
+    Real *beauty[3];
+    Real *ambient[3];
+    Real *diffuse[3];
+    Real *specular[3];
+    Real *direct[3];
+    Real *reflection[3];
+    Real *position[3];
+    Real *normal[3];
+    Real *depth;
+    Real *id;
+    Real *const *shadow;            // a light each
+    Real *const *reflection_order;  // three a bounce
+};
+
+// Neighbouring pixels of one row. count is a multiple of the widest packet; the directions are padded to it.
+template <class Real>
+struct Span {
+    const Real *direction_x;
+    Real direction_y;
+    Real direction_z;
+    std::size_t count;
+    Planes<Real> planes;
+};
+
+template <class Real>
+using TraceSpan = void (*)(const SceneConstants<Real> &, const Span<Real> &);
+
+inline constexpr std::size_t widest_packet = 16;
+
+// The kernels of one instruction set.
+struct Kernels {
+    const char *name;
+    TraceSpan<double> f64;
+    TraceSpan<float> f32;
+};
+
+extern const Kernels kernels_scalar;
+extern const Kernels kernels_sse2;
+extern const Kernels kernels_avx2;
+extern const Kernels kernels_avx512;
+extern const Kernels kernels_neon;
+
+}  // namespace whitted

@@ -1,0 +1,342 @@
+// The Whitted recursion over packets of rays, in the words of the specification. Included by kernel_*.cpp only.
+//
+// All lanes of a packet march through their chain of mirrors together. At each bounce the lanes are taken sphere by
+// sphere, so that everything about the sphere that is shaded is a constant. In a sphere's unit space, (x - p)/|s|, the
+// sphere is the unit sphere, and a hit is its point n there, |n| = 1.
+#pragma once
+
+#include <type_traits>
+
+#include "constants.hpp"
+#include "power.hpp"
+#include "simd.hpp"
+
+namespace whitted {
+namespace {
+
+template <class Real, int Width>
+struct Kernel {
+    using P = Packet<Real, Width>;
+    using Lanes = Mask<Real, Width>;
+
+    static constexpr Real zero = 0;
+    static constexpr Real one = 1;
+    static constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
+    // Secondary rays: |D| up to this times max(1, |origin|) counts as 0, see docs/tolerances.md.
+    static constexpr Real tangent_factor = 64 * unit_roundoff;
+
+    struct Vec {
+        P x, y, z;
+        friend WHITTED_INLINE Vec operator+(Vec a, Vec b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+        friend WHITTED_INLINE Vec operator-(Vec a, Vec b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+        friend WHITTED_INLINE Vec operator*(Vec a, Vec b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+        friend WHITTED_INLINE Vec operator*(Vec a, P s) { return {a.x * s, a.y * s, a.z * s}; }
+        WHITTED_INLINE Vec operator-() const { return {-x, -y, -z}; }
+    };
+    static WHITTED_INLINE P dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+    static WHITTED_INLINE Vec select3(Lanes yes, Vec a, Vec b) {
+        return {select(yes, a.x, b.x), select(yes, a.y, b.y), select(yes, a.z, b.z)};
+    }
+    static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
+    static WHITTED_INLINE Vec difference(const double *a, const double *b) {
+        return {P(Real(a[0] - b[0])), P(Real(a[1] - b[1])), P(Real(a[2] - b[2]))};
+    }
+
+    // The nearest hit of each lane's ray.
+    struct Hit {
+        P sphere;        // its place among the existing spheres; -1: none
+        P t;
+        Vec n;           // the point in the sphere's unit space
+        Lanes inside;    // hit on its way out: the inside is what is seen
+    };
+
+    // Where a ray meets the unit sphere: t^2 a + 2 t h + c = 0.
+    struct Roots {
+        Lanes real;
+        P near_t, far_t;
+        P half_chord;   // (far_t - near_t)/2
+        Vec closest;    // the ray's point closest to the centre
+    };
+
+    // c = |o|^2 - 1. tangent: how far D may be from 0 and count as 0, squared.
+    static WHITTED_INLINE Roots intersect(Vec o, P c, Vec d, P tangent_squared) {
+        const P a = dot(d, d);
+        const P h = dot(o, d);
+        const P inverse_a = P(one) / a;
+        const Vec closest = o - d * (h * inverse_a);
+        const P D = P(one) - dot(closest, closest);
+        const Lanes is_tangent = D * D <= tangent_squared;
+        const P root = select(is_tangent, P(zero), sqrt(maximum(D, P(zero)) * a));
+        const Lanes leaving = h > P(zero);
+        const P q = select(leaving, -(h + root), root - h);
+        const P first = q * inverse_a;
+        const P second = c / q;
+        return {is_tangent | (D > P(zero)), select(leaving, first, second), select(leaving, second, first),
+                root * inverse_a, closest};
+    }
+
+    // The hit point of the near or the far root, from the point closest to the centre: exact for a tangent.
+    static WHITTED_INLINE Vec unit_point(const Roots &roots, Vec d, Lanes far) {
+        return roots.closest + d * select(far, roots.half_chord, -roots.half_chord);
+    }
+
+    static WHITTED_INLINE void keep_nearer(Hit &nearest, Lanes hit, P t, P sphere, Vec n, Lanes inside) {
+        nearest.sphere = select(hit, sphere, nearest.sphere);
+        nearest.t = select(hit, t, nearest.t);
+        nearest.n = select3(hit, n, nearest.n);
+        nearest.inside = select(hit, inside, nearest.inside);
+    }
+
+    static WHITTED_INLINE Hit no_hit() {
+        return {P(-one), P(Real(__builtin_inf())), broadcast_zero(), Lanes::none()};
+    }
+    static WHITTED_INLINE Vec broadcast_zero() { return {P(zero), P(zero), P(zero)}; }
+
+    // Primary rays: the smallest t > 1; of equal ones the first in the file.
+    static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, Vec direction) {
+        Hit nearest = no_hit();
+        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+            const SphereConstants<Real> &sphere = scene.spheres[j];
+            const Vec d = direction * broadcast(sphere.inverse_scale);
+            const Roots roots =
+                intersect(broadcast(sphere.eye), P(sphere.eye_power), d, P(sphere.tangent * sphere.tangent));
+            if (!any(roots.real)) continue;
+            const Lanes far = !(roots.near_t > P(one));
+            const P t = select(far, roots.far_t, roots.near_t);
+            const Lanes hit = roots.real & (t > P(one)) & (t < nearest.t);
+            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+        }
+        return nearest;
+    }
+
+    // A point on sphere i: n in its unit space, offset = |s_i| n from its centre in the world.
+    struct SurfacePoint {
+        std::size_t sphere;
+        Vec n;
+        Vec offset;
+        Lanes inside;
+    };
+
+    // The point in the unit space of sphere j.
+    static WHITTED_INLINE Vec seen_from(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t j) {
+        const SphereConstants<Real> &other = scene.spheres[j];
+        return (x.offset + difference(scene.spheres[x.sphere].center, other.center)) * broadcast(other.inverse_scale);
+    }
+
+    static WHITTED_INLINE P secondary_tangent(P distance_squared) {
+        return P(tangent_factor * tangent_factor) * maximum(distance_squared, P(one));
+    }
+
+    // Reflected rays: on the sphere they start from only the other root, which the outside never meets.
+    static WHITTED_INLINE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
+                                       Lanes active) {
+        Hit nearest = no_hit();
+        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+            const Vec d = direction * broadcast(scene.spheres[j].inverse_scale);
+            if (j == x.sphere) {
+                const Lanes crosses = active & x.inside;
+                if (!any(crosses)) continue;
+                const P t = P(Real(-2)) * dot(x.n, d) / dot(d, d);
+                const Lanes hit = crosses & (t > P(zero)) & (t < nearest.t);
+                keep_nearer(nearest, hit, t, P(Real(j)), x.n + d * t, Lanes::all());
+                continue;
+            }
+            const Vec o = seen_from(scene, x, j);
+            const P distance_squared = dot(o, o);
+            const Roots roots = intersect(o, distance_squared - P(one), d, secondary_tangent(distance_squared));
+            const Lanes far = !(roots.near_t > P(zero));
+            const P t = select(far, roots.far_t, roots.near_t);
+            const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
+            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+        }
+        return nearest;
+    }
+
+    // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1.
+    static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
+                                       Vec to_light, Lanes asked) {
+        const P epsilon(scene.shadow_epsilon);
+        const auto between = [&](P t) { return (t > epsilon) & (t < P(one)); };
+        Lanes found = Lanes::none();
+        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+            const SphereConstants<Real> &sphere = scene.spheres[j];
+            const Vec d = to_light * broadcast(sphere.inverse_scale);
+            if (j == x.sphere) {
+                // The roots are 0 and the other one, which is 1 when the light lies on this sphere too.
+                if (sphere.light_on[light]) continue;
+                found = found | between(P(Real(-2)) * dot(x.n, d) / dot(d, d));
+            } else {
+                const Vec o = seen_from(scene, x, j);
+                const P distance_squared = dot(o, o);
+                const P c = distance_squared - P(one);
+                if (sphere.light_on[light]) {
+                    // The roots are 1 and, by their product c/a, the other one.
+                    found = found | between(c / dot(d, d));
+                } else {
+                    const Roots roots = intersect(o, c, d, secondary_tangent(distance_squared));
+                    found = found | (roots.real & (between(roots.near_t) | between(roots.far_t)));
+                }
+            }
+            if (!any(asked & !found)) break;
+        }
+        return found & asked;
+    }
+
+    static WHITTED_INLINE void store3(Real *const *planes, std::size_t at, Vec v) {
+        if (!planes[0]) return;
+        v.x.store(planes[0] + at);
+        v.y.store(planes[1] + at);
+        v.z.store(planes[2] + at);
+    }
+    // Stores the lanes of one sphere beside those already there.
+    static WHITTED_INLINE void merge(Real *plane, std::size_t at, Lanes lanes, P v) {
+        select(lanes, v, P::load(plane + at)).store(plane + at);
+    }
+
+    struct Local {
+        Vec ambient, diffuse, specular;
+    };
+
+    // The terms of the specification at the hits on one sphere. N is the shading normal.
+    static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                      Lanes lanes, Real *const *shadow_planes, std::size_t at) {
+        const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
+        Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
+        if (!sphere.lit && !shadow_planes) return local;
+        const Vec V = sphere.specular ? -direction * (P(one) / sqrt(dot(direction, direction))) : broadcast_zero();
+        for (std::size_t light = 0; light < scene.light_count; ++light) {
+            const bool contributes = sphere.lit && !scene.lights[light].dark;
+            if (!contributes && !shadow_planes) continue;
+            const Vec to_light = difference(scene.lights[light].position, sphere.center) - x.offset;
+            const P distance_squared = dot(to_light, to_light);
+            const Lanes apart = distance_squared > P(zero);  // a light at x itself is visible and adds nothing
+            const Vec L = to_light * (P(one) / sqrt(distance_squared));
+            const P NL = dot(N, L);
+            const Lanes facing = lanes & apart & (NL > P(zero));
+            const Lanes asked = shadow_planes ? lanes & apart : facing;
+            if (!any(asked)) {
+                if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
+                continue;
+            }
+            const Lanes dark = hidden(scene, x, light, to_light, asked);
+            if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
+            const Lanes bright = facing & !dark;
+            if (!contributes || !any(bright)) continue;
+
+            const Real *terms = sphere.light_terms + 6 * light;
+            const P cosine = select(bright, NL, P(zero));
+            local.diffuse = local.diffuse + broadcast(terms) * cosine * broadcast(sphere.color);
+            if (!sphere.specular) continue;
+            // R = 2 (N.L) N - L; rounding alone brings R.V above 1.
+            const P RV = minimum(P(Real(2)) * NL * dot(N, V) - dot(L, V), P(one));
+            const Lanes shiny = bright & (RV > P(zero));
+            if (!any(shiny)) continue;
+            const P highlight = select(shiny, power(RV, sphere.exponent, sphere.integer), P(zero));
+            local.specular = local.specular + broadcast(terms + 3) * highlight;
+        }
+        return local;
+    }
+
+    static WHITTED_INLINE Vec shading_normal(const SphereConstants<Real> &sphere, Vec n, Lanes inside) {
+        const Vec gradient = n * broadcast(sphere.inverse_scale);
+        const Vec outward = gradient * (P(one) / sqrt(dot(gradient, gradient)));
+        return select3(inside, -outward, outward);
+    }
+
+    static void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, std::size_t at) {
+        const Planes<Real> &planes = span.planes;
+        Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
+        Hit hit = first_hit(scene, direction);
+        const Lanes covered = hit.sphere >= P(zero);
+
+        if (!any(covered)) {
+            const Vec nothing = broadcast_zero();
+            store3(planes.beauty, at, broadcast(scene.background));
+            store3(planes.ambient, at, nothing);
+            store3(planes.diffuse, at, nothing);
+            store3(planes.specular, at, nothing);
+            store3(planes.direct, at, nothing);
+            store3(planes.reflection, at, nothing);
+            store3(planes.position, at, nothing);
+            store3(planes.normal, at, nothing);
+            if (planes.depth) P(Real(__builtin_inf())).store(planes.depth + at);
+            if (planes.id) P(-one).store(planes.id + at);
+            return;
+        }
+
+        if (planes.depth)
+            select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf()))).store(planes.depth + at);
+        if (planes.position[0]) {
+            const P t = select(covered, hit.t, P(zero));
+            store3(planes.position, at, direction * t);
+        }
+
+        Local primary{broadcast_zero(), broadcast_zero(), broadcast_zero()};
+        Vec normal = broadcast_zero();
+        P id(-one);
+        Vec reflected = broadcast_zero();
+        P weight(one);
+        Lanes active = covered;
+        for (std::int32_t bounce = 0;; ++bounce) {
+            Hit next = no_hit();
+            Vec next_direction = direction;
+            P next_weight = weight;
+            Lanes next_active = Lanes::none();
+            Vec order = broadcast_zero();
+            for (std::size_t i = 0; i < scene.sphere_count; ++i) {
+                const Lanes lanes = active & (hit.sphere == P(Real(i)));
+                if (!any(lanes)) continue;
+                const SphereConstants<Real> &sphere = scene.spheres[i];
+                const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
+                const Vec N = shading_normal(sphere, hit.n, hit.inside);
+                const Local local = shade(scene, x, N, direction, lanes, bounce == 0 ? planes.shadow : nullptr, at);
+                if (bounce == 0) {
+                    primary.ambient = select3(lanes, local.ambient, primary.ambient);
+                    primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
+                    primary.specular = select3(lanes, local.specular, primary.specular);
+                    normal = select3(lanes, N, normal);
+                    id = select(lanes, P(Real(sphere.index)), id);
+                } else {
+                    order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * weight, order);
+                }
+                if (bounce == scene.max_reflections || !(sphere.reflection > zero)) continue;
+                // d - 2 (d.N) N
+                const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
+                const Hit found = next_hit(scene, x, mirrored, lanes);
+                const Lanes goes_on = lanes & (found.sphere >= P(zero));
+                if (!any(goes_on)) continue;
+                keep_nearer(next, goes_on, found.t, found.sphere, found.n, found.inside);
+                next_direction = select3(goes_on, mirrored, next_direction);
+                next_weight = select(goes_on, weight * P(sphere.reflection), next_weight);
+                next_active = next_active | goes_on;
+            }
+            if (bounce > 0) {
+                reflected = reflected + order;
+                if (planes.reflection_order) store3(planes.reflection_order + 3 * (bounce - 1), at, order);
+            }
+            if (!any(next_active)) break;
+            hit = next;
+            direction = next_direction;
+            weight = next_weight;
+            active = next_active;
+        }
+
+        const Vec direct = primary.diffuse + primary.specular;
+        const Vec beauty = (primary.ambient + direct) + reflected;
+        store3(planes.beauty, at, select3(covered, beauty, broadcast(scene.background)));
+        store3(planes.ambient, at, primary.ambient);
+        store3(planes.diffuse, at, primary.diffuse);
+        store3(planes.specular, at, primary.specular);
+        store3(planes.direct, at, direct);
+        store3(planes.reflection, at, reflected);
+        store3(planes.normal, at, normal);
+        if (planes.id) id.store(planes.id + at);
+    }
+
+    static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
+        for (std::size_t at = 0; at < span.count; at += Width) trace_packet(scene, span, at);
+    }
+};
+
+}  // namespace
+}  // namespace whitted

@@ -1,0 +1,299 @@
+// raytrace SCENE: renders a scene to the PPM file that it names.
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <charconv>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <new>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "output.hpp"
+#include "ppm.hpp"
+#include "render.hpp"
+#include "scene.hpp"
+
+namespace {
+
+using whitted::Problem;
+
+constexpr int success = 0;
+constexpr int wrong_input = 2;
+
+constexpr const char *help_text = R"(Usage: raytrace [OPTIONS] SCENE
+
+Renders SCENE to the PPM file that its field OUTPUT names. SCENE '-' is stdin.
+
+Options:
+  -o, --output FILE       write FILE instead of OUTPUT; '-' is stdout
+  --precision f64|f32     arithmetic of the renderer [f64]
+  --threads N             0: as many as there are processors [0]
+  --sample PLACE          where in a pixel its ray goes through: corner (top left),
+                          center, bottom-left, or inclusive (the outermost rays
+                          go through the edges of the image) [corner]
+  --shadow-epsilon E      shadow rays start at this fraction of the way to the
+                          light [0.0001]
+  --max-reflections N     mirror bounces followed [3]
+  --no-limits             lift the limits on spheres, lights and resolution
+  --version               print the version, the instruction set and the compiler
+  -h, --help              print this
+
+Environment:
+  WHITTED_ISA             instruction set: scalar, sse2, avx2, avx512 or neon
+                          [the best this processor has]
+
+Exit status: 0 the image was written; 2 something is wrong with the command, the
+scene or the file to write; 130 or 143 stopped by a signal.
+
+Examples:
+  raytrace scene.txt
+  raytrace scene.txt -o image.ppm --sample center --threads 4
+  generate-scene | raytrace - -o - | display
+)";
+
+struct Options {
+    std::string scene;
+    std::string output;  // "": as the scene says
+    whitted::Settings settings;
+    bool limits = true;
+};
+
+std::atomic<int> stop_signal{0};
+
+void on_signal(int signal) { stop_signal = signal; }
+
+int fail(const Problem &problem) {
+    std::fprintf(stderr, "error: %s\n", problem.message.c_str());
+    if (!problem.hint.empty()) std::fprintf(stderr, "  hint: %s\n", problem.hint.c_str());
+    return wrong_input;
+}
+
+constexpr std::array<std::string_view, 10> option_names{
+    "--output",         "--precision",       "--threads",   "--sample",  "--shadow-epsilon",
+    "--max-reflections", "--no-limits",       "--version",   "--help",    "-o"};
+
+std::string nearest_option(std::string_view wrong) {
+    std::string_view nearest;
+    std::size_t least = 4;
+    for (const std::string_view name : option_names) {
+        const std::size_t distance = whitted::edit_distance(wrong, name);
+        if (distance < least) {
+            least = distance;
+            nearest = name;
+        }
+    }
+    return nearest.empty() ? "raytrace --help lists the options" : "did you mean '" + std::string(nearest) + "'?";
+}
+
+std::optional<int> integer_between(std::string_view text, int least, int most) {
+    int value = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error != std::errc{} || end != text.data() + text.size() || value < least || value > most) return std::nullopt;
+    return value;
+}
+
+Problem bad_value(std::string_view option, std::string_view value, const std::string &expected) {
+    return {"'" + std::string(value) + "' is not a value of " + std::string(option), "expected " + expected};
+}
+
+// One option that takes a value.
+Problem take(Options &options, std::string_view option, std::string_view value) {
+    whitted::Settings &settings = options.settings;
+    if (option == "--output" || option == "-o") {
+        if (value.empty()) return {"the file name after " + std::string(option) + " is empty", "name a file"};
+        options.output = value;
+    } else if (option == "--precision") {
+        if (value != "f64" && value != "f32") return bad_value(option, value, "f64 or f32");
+        settings.precision = value == "f64" ? whitted::Precision::f64 : whitted::Precision::f32;
+    } else if (option == "--threads") {
+        const auto threads = integer_between(value, 0, whitted::most_threads);
+        if (!threads) return bad_value(option, value, "an integer from 0 to " + std::to_string(whitted::most_threads));
+        settings.threads = *threads;
+    } else if (option == "--sample") {
+        const auto sample = whitted::parse_sample(value);
+        if (!sample) return bad_value(option, value, "corner, center, bottom-left or inclusive");
+        settings.sample = *sample;
+    } else if (option == "--shadow-epsilon") {
+        const whitted::Number number = whitted::parse_number(value);
+        if (!number.valid || !(number.value >= 0 && number.value < 1))
+            return bad_value(option, value, "a number from 0 up to, but not including, 1");
+        settings.shadow_epsilon = number.value;
+    } else {
+        const auto bounces = integer_between(value, 0, whitted::most_reflections);
+        if (!bounces)
+            return bad_value(option, value, "an integer from 0 to " + std::to_string(whitted::most_reflections));
+        settings.max_reflections = *bounces;
+    }
+    return {};
+}
+
+// Fills options, or says what is wrong. `shown`: --help or --version, where nothing is rendered.
+Problem parse_arguments(int count, char **arguments, Options &options, std::string_view &shown) {
+    bool only_files = false;
+    bool have_scene = false;
+    for (int k = 1; k < count; ++k) {
+        std::string_view word = arguments[k];
+        if (!only_files && word == "--") {
+            only_files = true;
+        } else if (only_files || word == "-" || word.empty() || word[0] != '-') {
+            if (have_scene)
+                return {"a second scene, '" + std::string(word) + "'", "raytrace renders one scene at a time"};
+            options.scene = word;
+            have_scene = true;
+        } else if (word == "--help" || word == "-h") {
+            shown = "--help";
+            return {};
+        } else if (word == "--version") {
+            shown = "--version";
+            return {};
+        } else if (word == "--no-limits") {
+            options.limits = false;
+        } else {
+            std::optional<std::string_view> value;
+            const std::size_t equals = word.find('=');
+            if (word.substr(0, 2) == "--" && equals != word.npos) {
+                value = word.substr(equals + 1);
+                word = word.substr(0, equals);
+            } else if (word.substr(0, 2) == "-o" && word.size() > 2) {
+                value = word.substr(2);
+                word = "-o";
+            }
+            if (std::find(option_names.begin(), option_names.end(), word) == option_names.end())
+                return {"unknown option '" + std::string(word) + "'", nearest_option(word)};
+            if (word == "--no-limits" || word == "--version" || word == "--help")
+                return {"the option " + std::string(word) + " takes no value", "leave out what stands after the '='"};
+            if (!value) {
+                if (k + 1 == count)
+                    return {"the option " + std::string(word) + " needs a value", "raytrace --help says which"};
+                value = arguments[++k];
+            }
+            if (const Problem problem = take(options, word, *value)) return problem;
+        }
+    }
+    if (!have_scene || options.scene.empty()) return {"no scene is given", "raytrace SCENE, or raytrace --help"};
+    return {};
+}
+
+// A line on stderr that is redrawn while the work takes longer than a second.
+class Progress {
+public:
+    explicit Progress(std::int64_t whole) : total(whole), enabled(::isatty(STDERR_FILENO) == 1) {}
+    ~Progress() {
+        if (shown) std::fputs("\r\x1b[K", stderr);
+    }
+    Progress(const Progress &) = delete;
+    Progress &operator=(const Progress &) = delete;
+
+    void update(std::int64_t done) {
+        const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
+        if (!enabled || spent.count() < 1 || done == 0) return;
+        const double fraction = static_cast<double>(done) / static_cast<double>(total);
+        std::fprintf(stderr, "\rrendering: %3.0f %%, %.0f s left ", 100 * fraction,
+                     spent.count() * (1 - fraction) / fraction);
+        std::fflush(stderr);
+        shown = true;
+    }
+
+private:
+    std::int64_t total;
+    bool enabled;
+    bool shown = false;
+    std::chrono::steady_clock::time_point start = std::chrono::steady_clock::now();
+};
+
+int stopped() {
+    std::fputs("stopped: nothing was written\n", stderr);
+    return 128 + stop_signal;
+}
+
+int render(const Options &options, const whitted::Scene &scene) {
+    const std::int64_t pixels = scene.view.columns * scene.view.rows;
+    const std::string header = whitted::ppm_header(scene.view.columns, scene.view.rows);
+    const std::string path = options.output.empty() ? scene.output : options.output;
+    if (options.output.empty()) {
+        if (const Problem problem = whitted::check_output_field(path)) return fail(problem);
+    }
+    whitted::OutputFile file;
+    // A scene may name a file '-'; stdout is only for -o.
+    if (const Problem problem = file.open(options.output.empty() && path == "-" ? "./-" : path, options.scene,
+                                          3 * pixels + static_cast<std::int64_t>(header.size())))
+        return fail(problem);
+
+    // Bands of pixels: large enough for all threads, small enough that memory does not grow with the image.
+    constexpr std::int64_t band_pixels = 1 << 20;
+    std::vector<unsigned char> band(static_cast<std::size_t>(3 * std::min(pixels, band_pixels)));
+    const whitted::Renderer renderer(scene, options.settings);
+    if (const Problem problem = file.write(header.data(), header.size())) return fail(problem);
+    Progress progress(pixels);
+    for (std::int64_t first = 0; first < pixels; first += band_pixels) {
+        const std::int64_t last = std::min(first + band_pixels, pixels);
+        const auto poll = [&](std::int64_t done) {
+            progress.update(first + done);
+            return stop_signal == 0;
+        };
+        const bool whole = renderer.render(first, last, {{whitted::PassKind::beauty8, 0, band.data()}}, poll);
+        if (!whole || stop_signal != 0) return stopped();
+        if (const Problem problem =
+                file.write(reinterpret_cast<const char *>(band.data()), static_cast<std::size_t>(3 * (last - first))))
+            return stop_signal != 0 ? stopped() : fail(problem);
+    }
+    if (const Problem problem = file.finish()) return fail(problem);
+    return success;
+}
+
+int run(int count, char **arguments) {
+    Options options;
+    std::string_view shown;
+    if (const Problem problem = parse_arguments(count, arguments, options, shown)) return fail(problem);
+    if (shown == "--help") {
+        std::fputs(help_text, stdout);
+        return success;
+    }
+    std::string problem;
+    const std::string isa = whitted::instruction_set(problem);
+    if (isa.empty()) return fail({problem, "unset WHITTED_ISA to use the best one"});
+    if (shown == "--version") {
+        std::printf("raytrace %s (%s, %s)\n", WHITTED_VERSION, isa.c_str(), whitted::compiler().c_str());
+        return success;
+    }
+
+    // No scene within the limits comes near this; a device or a log given by mistake does.
+    constexpr std::size_t most_bytes = std::size_t{64} << 20;
+    constexpr std::size_t most_bytes_without_limits = std::size_t{4} << 30;
+    std::string text;
+    if (const Problem unreadable =
+            whitted::read_file(options.scene, options.limits ? most_bytes : most_bytes_without_limits, text))
+        return fail(unreadable);
+    const std::string source = options.scene == "-" ? "<stdin>" : options.scene;
+    whitted::ParseResult parsed = whitted::parse(text, options.limits);
+    if (parsed.errors.empty() && options.settings.precision == whitted::Precision::f32)
+        parsed.errors = whitted::check_float32(parsed.scene);
+    for (const whitted::Diagnostic &warning : parsed.warnings)
+        std::fprintf(stderr, "%s\n", whitted::describe(warning, source, "warning").c_str());
+    for (const whitted::Diagnostic &error : parsed.errors)
+        std::fprintf(stderr, "%s\n", whitted::describe(error, source).c_str());
+    if (!parsed.errors.empty()) return wrong_input;
+    return render(options, parsed.scene);
+}
+
+}  // namespace
+
+int main(int count, char **arguments) {
+    struct sigaction action {};
+    action.sa_handler = on_signal;
+    ::sigaction(SIGINT, &action, nullptr);
+    ::sigaction(SIGTERM, &action, nullptr);
+    ::sigaction(SIGHUP, &action, nullptr);
+    std::signal(SIGPIPE, SIG_IGN);
+    try {
+        return run(count, arguments);
+    } catch (const std::bad_alloc &) {
+        return fail({"there is not enough memory for this scene", "use fewer spheres and lights"});
+    }
+}

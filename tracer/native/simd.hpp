@@ -1,0 +1,284 @@
+// Packets of floating point numbers: the one place that knows vector widths. Included by kernel_*.cpp only.
+//
+// Everything here is in an unnamed namespace and always inlined, so that no function compiled for one instruction set can
+// be linked into another's path, and no vector crosses a call.
+#pragma once
+
+#include <cstdint>
+
+#if defined(__SSE2__)
+#include <immintrin.h>
+#elif defined(__ARM_NEON)
+#include <arm_neon.h>
+#endif
+
+#define WHITTED_INLINE __attribute__((always_inline)) inline
+
+namespace whitted {
+namespace {
+
+template <class Real>
+struct BitsOf;
+template <>
+struct BitsOf<double> {
+    using type = std::int64_t;
+};
+template <>
+struct BitsOf<float> {
+    using type = std::int32_t;
+};
+
+template <class T, int Width>
+struct Vector {
+    typedef T type __attribute__((vector_size(sizeof(T) * Width)));
+};
+template <class T>
+struct Vector<T, 1> {
+    using type = T;
+};
+
+// Yes or no for each lane. Generic: all bits of an integer vector; one lane: a bool; AVX-512: a mask register.
+template <class Real, int Width>
+struct MaskOf {
+    using type = typename Vector<typename BitsOf<Real>::type, Width>::type;
+};
+template <class Real>
+struct MaskOf<Real, 1> {
+    using type = bool;
+};
+#if defined(__AVX512F__)
+template <>
+struct MaskOf<double, 8> {
+    using type = __mmask8;
+};
+template <>
+struct MaskOf<float, 16> {
+    using type = __mmask16;
+};
+#endif
+
+template <class Real, int Width>
+inline constexpr bool has_mask_register =
+#if defined(__AVX512F__)
+    sizeof(Real) * Width == 64;
+#else
+    false;
+#endif
+
+template <class Real, int Width>
+struct Mask {
+    using Native = typename MaskOf<Real, Width>::type;
+    Native m;
+
+    WHITTED_INLINE static Mask none() {
+        if constexpr (Width == 1) {
+            return {false};
+        } else {
+            return {Native{}};
+        }
+    }
+    WHITTED_INLINE static Mask all() { return !none(); }
+
+    friend WHITTED_INLINE Mask operator&(Mask a, Mask b) {
+        if constexpr (Width == 1) {
+            return {a.m && b.m};
+        } else {
+            return {static_cast<Native>(a.m & b.m)};
+        }
+    }
+    friend WHITTED_INLINE Mask operator|(Mask a, Mask b) {
+        if constexpr (Width == 1) {
+            return {a.m || b.m};
+        } else {
+            return {static_cast<Native>(a.m | b.m)};
+        }
+    }
+    friend WHITTED_INLINE Mask operator!(Mask a) {
+        if constexpr (Width == 1) {
+            return {!a.m};
+        } else {
+            return {static_cast<Native>(~a.m)};
+        }
+    }
+};
+
+template <class Real, int Width>
+WHITTED_INLINE bool any(Mask<Real, Width> mask) {
+    if constexpr (Width == 1 || has_mask_register<Real, Width>) {
+        return mask.m != 0;
+#if defined(__AVX__)
+    } else if constexpr (sizeof(Real) * Width == 32) {
+        return !_mm256_testz_si256(reinterpret_cast<__m256i>(mask.m), reinterpret_cast<__m256i>(mask.m));
+#endif
+#if defined(__SSE2__)
+    } else if constexpr (sizeof(Real) * Width == 16) {
+        return _mm_movemask_epi8(reinterpret_cast<__m128i>(mask.m)) != 0;
+#endif
+    } else {
+        typename BitsOf<Real>::type found = 0;
+        for (int lane = 0; lane < Width; ++lane) found |= mask.m[lane];
+        return found != 0;
+    }
+}
+
+// Width numbers that are computed on together.
+template <class Real, int Width>
+struct Packet {
+    using Native = typename Vector<Real, Width>::type;
+    using Lanes = Mask<Real, Width>;
+    Native v;
+
+    Packet() = default;
+    WHITTED_INLINE Packet(Real x) : v(broadcast(x)) {}
+    WHITTED_INLINE explicit Packet(Native native, int) : v(native) {}
+
+    WHITTED_INLINE static Packet load(const Real *from) {
+        Packet p;
+        __builtin_memcpy(&p.v, from, sizeof(p.v));
+        return p;
+    }
+    WHITTED_INLINE void store(Real *to) const { __builtin_memcpy(to, &v, sizeof(v)); }
+
+    friend WHITTED_INLINE Packet operator+(Packet a, Packet b) { return Packet(a.v + b.v, 0); }
+    friend WHITTED_INLINE Packet operator-(Packet a, Packet b) { return Packet(a.v - b.v, 0); }
+    friend WHITTED_INLINE Packet operator*(Packet a, Packet b) { return Packet(a.v * b.v, 0); }
+    friend WHITTED_INLINE Packet operator/(Packet a, Packet b) { return Packet(a.v / b.v, 0); }
+    WHITTED_INLINE Packet operator-() const { return Packet(-v, 0); }
+
+    friend WHITTED_INLINE Lanes operator<(Packet a, Packet b) {
+#if defined(__AVX512F__)
+        if constexpr (has_mask_register<Real, Width>) {
+            if constexpr (sizeof(Real) == 8) {
+                return {_mm512_cmp_pd_mask(a.v, b.v, _CMP_LT_OQ)};
+            } else {
+                return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)};
+            }
+        } else
+#endif
+            return {a.v < b.v};
+    }
+    friend WHITTED_INLINE Lanes operator>(Packet a, Packet b) { return b < a; }
+    friend WHITTED_INLINE Lanes operator<=(Packet a, Packet b) {
+#if defined(__AVX512F__)
+        if constexpr (has_mask_register<Real, Width>) {
+            if constexpr (sizeof(Real) == 8) {
+                return {_mm512_cmp_pd_mask(a.v, b.v, _CMP_LE_OQ)};
+            } else {
+                return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)};
+            }
+        } else
+#endif
+            return {a.v <= b.v};
+    }
+    friend WHITTED_INLINE Lanes operator>=(Packet a, Packet b) { return b <= a; }
+    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) { return (a <= b) & (b <= a); }
+
+private:
+    WHITTED_INLINE static Native broadcast(Real x) {
+        if constexpr (Width == 1) {
+            return x;
+        } else {
+            return x - Native{};  // minus +0 keeps the sign of -0
+        }
+    }
+};
+
+// Lane by lane: yes ? a : b.
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> select(Mask<Real, Width> yes, Packet<Real, Width> a, Packet<Real, Width> b) {
+    using P = Packet<Real, Width>;
+#if defined(__AVX512F__)
+    if constexpr (has_mask_register<Real, Width>) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm512_mask_blend_pd(yes.m, b.v, a.v), 0);
+        } else {
+            return P(_mm512_mask_blend_ps(yes.m, b.v, a.v), 0);
+        }
+    } else
+#endif
+        return P(yes.m ? a.v : b.v, 0);
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Mask<Real, Width> select(Mask<Real, Width> yes, Mask<Real, Width> a, Mask<Real, Width> b) {
+    return (yes & a) | ((!yes) & b);
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> sqrt(Packet<Real, Width> x) {
+    using P = Packet<Real, Width>;
+    if constexpr (Width == 1) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(__builtin_sqrt(x.v));
+        } else {
+            return P(__builtin_sqrtf(x.v));
+        }
+#if defined(__AVX512F__)
+    } else if constexpr (sizeof(Real) * Width == 64) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm512_maskz_sqrt_pd(__mmask8(~0), x.v), 0);
+        } else {
+            return P(_mm512_maskz_sqrt_ps(__mmask16(~0), x.v), 0);
+        }
+#endif
+#if defined(__AVX__)
+    } else if constexpr (sizeof(Real) * Width == 32) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm256_sqrt_pd(x.v), 0);
+        } else {
+            return P(_mm256_sqrt_ps(x.v), 0);
+        }
+#endif
+#if defined(__SSE2__)
+    } else if constexpr (sizeof(Real) * Width == 16) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm_sqrt_pd(x.v), 0);
+        } else {
+            return P(_mm_sqrt_ps(x.v), 0);
+        }
+#elif defined(__ARM_NEON)
+    } else if constexpr (sizeof(Real) * Width == 16) {
+        if constexpr (sizeof(Real) == 8) {
+            return P(vsqrtq_f64(x.v), 0);
+        } else {
+            return P(vsqrtq_f32(x.v), 0);
+        }
+#endif
+    }
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> minimum(Packet<Real, Width> a, Packet<Real, Width> b) {
+    return select(a < b, a, b);
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> maximum(Packet<Real, Width> a, Packet<Real, Width> b) {
+    return select(a < b, b, a);
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> absolute(Packet<Real, Width> a) {
+    return select(a < Packet<Real, Width>(Real(0)), -a, a);
+}
+
+// The bit pattern of a packet as integers, and back.
+template <class Real, int Width>
+using BitsPacket = typename Vector<typename BitsOf<Real>::type, Width>::type;
+
+template <class Real, int Width>
+WHITTED_INLINE BitsPacket<Real, Width> to_bits(Packet<Real, Width> x) {
+    BitsPacket<Real, Width> bits;
+    __builtin_memcpy(&bits, &x.v, sizeof(bits));
+    return bits;
+}
+
+template <class Real, int Width>
+WHITTED_INLINE Packet<Real, Width> from_bits(BitsPacket<Real, Width> bits) {
+    Packet<Real, Width> x;
+    __builtin_memcpy(&x.v, &bits, sizeof(bits));
+    return x;
+}
+
+}  // namespace
+}  // namespace whitted

@@ -1,0 +1,254 @@
+"""The one table of passes, and Passes: named arrays of one rendering with their file formats."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import json
+import os
+import re
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Quantity = Literal["color", "visibility", "length", "position", "normal", "id", "margin"]
+Sample = Literal["corner", "center", "bottom-left", "inclusive"]
+SAMPLES: tuple[Sample, ...] = ("corner", "center", "bottom-left", "inclusive")
+MARGINS = ("silhouette", "range", "order", "terminator")
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One row of the table: what a pass holds and where the primary ray misses.
+
+    `name` ends in `*` for a family (`shadow.L*`: one a light; `reflection.*`: one a bounce, from 1).
+    `channels` is empty for a pass of one channel, whose array has shape (rows, columns); else the array has shape
+    (rows, columns, len(channels)). `miss` None means the scene's background, or "as computed" for margins.
+    `exr` says how an EXR file names the channels: the pass name, with `{}` for the channel.
+    """
+
+    name: str
+    channels: str
+    quantity: Quantity
+    miss: float | None
+    exr: str
+
+    @property
+    def family(self) -> bool:
+        return self.name.endswith("*")
+
+
+TABLE: tuple[Pass, ...] = (
+    Pass("beauty", "RGB", "color", None, "{channel}"),
+    Pass("ambient", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("diffuse", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("specular", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("direct", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("shadow.L*", "", "visibility", 0.0, "{name}"),
+    Pass("reflection", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("reflection.*", "RGB", "color", 0.0, "{name}.{channel}"),
+    Pass("depth", "", "length", float("inf"), "{name}.Z"),
+    Pass("position", "XYZ", "position", 0.0, "{name}.{channel}"),
+    Pass("normal", "XYZ", "normal", 0.0, "{name}.{channel}"),
+    Pass("id", "", "id", -1.0, "{name}"),
+    Pass("margin.*", "", "margin", None, "{name}"),
+)
+
+
+def names(lights: int, max_reflections: int = 3) -> tuple[str, ...]:
+    """Every pass of a scene with that many lights, in the order of the table, margins last."""
+    members = {
+        "shadow.L*": [f"shadow.L{i}" for i in range(lights)],
+        "reflection.*": [f"reflection.{k}" for k in range(1, max_reflections + 1)],
+        "margin.*": [f"margin.{kind}" for kind in MARGINS],
+    }
+    return tuple(name for row in TABLE for name in members.get(row.name, [row.name]))
+
+
+def lookup(name: str) -> Pass:
+    """The row of the table for a pass name.
+
+    Raises:
+        ValueError: there is no such pass; the message names the nearest one.
+    """
+    for row in TABLE:
+        stem = row.name.removesuffix("*")
+        if name == row.name and not row.family:
+            return row
+        if row.family and name.startswith(stem):
+            member = name.removeprefix(stem)
+            first = "[1-9]" if row.quantity == "color" else "(?:0$|[1-9])"  # bounces count from 1, lights from 0
+            if member in MARGINS if row.quantity == "margin" else re.fullmatch(first + "[0-9]{0,8}", member):
+                return row
+    near = difflib.get_close_matches(name, names(1), n=1)
+    raise ValueError(f"unknown pass '{name}'" + (f" (did you mean '{near[0]}'?)" if near else ""))
+
+
+def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """The 8-bit image of linear colours: clamped to [0, 1], times 255, truncated; NaN becomes 0."""
+    clamped = np.where(values > 0, np.where(values < 1, values, 1), 0).astype(values.dtype)
+    return (clamped * values.dtype.type(255)).astype(np.uint8)
+
+
+@contextlib.contextmanager
+def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left."""
+    path = Path(path)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class Passes(Mapping[str, NDArray[Any]]):
+    """Named passes of one rendering, all of one size.
+
+    Arrays have shape (rows, columns) or (rows, columns, channels), row 0 at the top; colours are linear and unclamped,
+    lengths in world units, ids int32. `metadata` holds text about how they were made (renderer, versions, settings).
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None) -> None:
+        """Raises ValueError on an unknown pass name or arrays whose shapes do not fit the table and each other."""
+        self._arrays = {name: np.asarray(array) for name, array in arrays.items()}
+        self.metadata = dict(metadata or {})
+        size: tuple[int, ...] | None = None
+        for name, array in self._arrays.items():
+            channels = len(lookup(name).channels)
+            if array.ndim != (3 if channels else 2) or (channels and array.shape[2] != channels):
+                expected = f"(rows, columns, {channels})" if channels else "(rows, columns)"
+                raise ValueError(f"pass '{name}' has shape {array.shape}, expected {expected}")
+            size = size or array.shape[:2]
+            if array.shape[:2] != size:
+                raise ValueError(f"pass '{name}' has size {array.shape[:2]}, the others {size}")
+        self.shape: tuple[int, int] = (size[0], size[1]) if size else (0, 0)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._arrays[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __repr__(self) -> str:
+        rows, columns = self.shape
+        return f"Passes({columns}x{rows}: {', '.join(self)})"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `.exr` (float32), `.npz` (lossless), or the 8-bit beauty as `.png` or `.ppm`; by the ending.
+
+        The file is written beside and renamed, so that no half of it is ever seen.
+
+        Raises:
+            ValueError: an unknown ending, or a `.png` or `.ppm` without the pass `beauty`.
+            OSError: the file cannot be written.
+        """
+        ending = Path(path).suffix.lower()
+        writer = {".exr": _save_exr, ".npz": _save_npz, ".png": _save_image, ".ppm": _save_image}.get(ending)
+        if writer is None:
+            raise ValueError(f"unknown file ending '{ending}': expected .exr, .npz, .png or .ppm")
+        with write_beside(path) as temporary:
+            writer(self, temporary)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Passes:
+        """Read what `save` wrote as `.exr` or `.npz`.
+
+        Raises:
+            ValueError: not such a file, or one with unknown passes.
+            OSError: the file cannot be read.
+        """
+        ending = Path(path).suffix.lower()
+        reader = {".exr": _load_exr, ".npz": _load_npz}.get(ending)
+        if reader is None:
+            raise ValueError(f"unknown file ending '{ending}': expected .exr or .npz")
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"no such file: {path}")
+        return reader(Path(path))
+
+
+def _save_npz(passes: Passes, path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, metadata=np.array(json.dumps(passes.metadata)), **dict(passes))
+
+
+def _load_npz(path: Path) -> Passes:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: not a readable .npz file ({error})") from error
+    metadata = json.loads(str(arrays.pop("metadata", "{}")))
+    return Passes(arrays, metadata)
+
+
+def _exr_channels(name: str) -> list[str]:
+    row = lookup(name)
+    return [row.exr.format(name=name, channel=channel) for channel in row.channels or " "]
+
+
+def _save_exr(passes: Passes, path: Path) -> None:
+    import OpenEXR
+
+    channels: dict[str, NDArray[Any]] = {}
+    for name, array in passes.items():
+        # EXR has no signed integers: ids are stored from 0 (nothing hit), which a viewer shows as black.
+        stored = (array + 1).astype(np.uint32) if lookup(name).quantity == "id" else array.astype(np.float32)
+        planes = stored[..., None] if stored.ndim == 2 else stored
+        for channel, plane in zip(_exr_channels(name), np.moveaxis(planes, 2, 0), strict=True):
+            channels[channel] = np.ascontiguousarray(plane)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header["whitted"] = json.dumps({"passes": list(passes), "metadata": passes.metadata})
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+
+
+def _load_exr(path: Path) -> Passes:
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            described = json.loads(file.header().get("whitted", "{}"))
+            planes = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not a readable .exr file ({error})") from error
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in described.get("passes") or _guess_passes(planes):
+        stacked = np.stack([planes[channel] for channel in _exr_channels(name)], axis=-1)
+        row = lookup(name)
+        if row.quantity == "id":
+            stacked = stacked.astype(np.int64).astype(np.int32) - np.int32(1)
+        arrays[name] = stacked if row.channels else stacked[..., 0]
+    return Passes(arrays, described.get("metadata"))
+
+
+def _guess_passes(planes: Mapping[str, Any]) -> list[str]:
+    """The passes whose channels an EXR file of another program holds."""
+    candidates = names(lights=100, max_reflections=100)
+    found = [name for name in candidates if all(channel in planes for channel in _exr_channels(name))]
+    if not found:
+        raise ValueError(f"no known pass among the channels {', '.join(sorted(planes))}")
+    return found
+
+
+def _save_image(passes: Passes, path: Path) -> None:
+    from PIL import Image
+
+    if "beauty" not in passes:
+        raise ValueError("an image file holds the pass 'beauty', which is not among the passes: render it too")
+    Image.fromarray(quantise(passes["beauty"])).save(path)
