@@ -60,7 +60,8 @@ def render(
     installed = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > installed:
         raise MemoryError(
-            f"{len(names)} passes of {view.columns}x{view.rows} pixels need {needed} bytes, this machine has {installed}"
+            f"{len(names)} passes of {view.columns}x{view.rows} pixels need {needed} bytes, "
+            f"this machine has {installed}"
         )
 
     arrays: dict[str, NDArray[Any]] = {}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import json
 import os
 import re
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,14 +94,17 @@ def lookup(name: str) -> Pass:
 def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """The 8-bit image of linear colours: clamped to [0, 1], times 255, truncated; NaN becomes 0."""
     clamped = np.where(values > 0, np.where(values < 1, values, 1), 0).astype(values.dtype)
-    return (clamped * values.dtype.type(255)).astype(np.uint8)
+    levels: NDArray[np.uint8] = (clamped * values.dtype.type(255)).astype(np.uint8)
+    return levels
 
 
 @contextlib.contextmanager
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left."""
-    path = Path(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    path = Path(os.path.realpath(path))  # the file behind a link is replaced, not the link
+    if not path.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(path.parent))
+    handle, name = tempfile.mkstemp(prefix=".whitted-", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -128,6 +131,8 @@ class Passes(Mapping[str, NDArray[Any]]):
         size: tuple[int, ...] | None = None
         for name, array in self._arrays.items():
             channels = len(lookup(name).channels)
+            if array.dtype.kind not in "biuf":
+                raise ValueError(f"pass '{name}' holds {array.dtype}, expected numbers")
             if array.ndim != (3 if channels else 2) or (channels and array.shape[2] != channels):
                 expected = f"(rows, columns, {channels})" if channels else "(rows, columns)"
                 raise ValueError(f"pass '{name}' has shape {array.shape}, expected {expected}")
@@ -151,6 +156,8 @@ class Passes(Mapping[str, NDArray[Any]]):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `.exr` (float32), `.npz` (lossless), or the 8-bit beauty as `.png` or `.ppm`; by the ending.
+
+        What float32 cannot hold is infinite in an `.exr`.
 
         The file is written beside and renamed, so that no half of it is ever seen.
 
@@ -179,7 +186,12 @@ class Passes(Mapping[str, NDArray[Any]]):
             raise ValueError(f"unknown file ending '{ending}': expected .exr or .npz")
         if not Path(path).is_file():
             raise FileNotFoundError(f"no such file: {path}")
-        return reader(Path(path))
+        with Path(path).open("rb"):  # what cannot be opened is an OSError; from here on the content is at fault
+            pass
+        try:
+            return reader(Path(path))
+        except Exception as error:
+            raise ValueError(f"{path}: not a readable {ending} file ({error})") from error
 
 
 def _save_npz(passes: Passes, path: Path) -> None:
@@ -188,13 +200,11 @@ def _save_npz(passes: Passes, path: Path) -> None:
 
 
 def _load_npz(path: Path) -> Passes:
-    try:
-        with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as opened, zipfile.ZipFile(opened):  # np.load takes other kinds of files too
+        opened.seek(0)
+        with np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
-        raise ValueError(f"{path}: not a readable .npz file ({error})") from error
-    metadata = json.loads(str(arrays.pop("metadata", "{}")))
-    return Passes(arrays, metadata)
+    return Passes(arrays, json.loads(str(arrays.pop("metadata", "{}"))))
 
 
 def _exr_channels(name: str) -> list[str]:
@@ -208,27 +218,31 @@ def _save_exr(passes: Passes, path: Path) -> None:
     channels: dict[str, NDArray[Any]] = {}
     for name, array in passes.items():
         # EXR has no signed integers: ids are stored from 0 (nothing hit), which a viewer shows as black.
-        stored = (array + 1).astype(np.uint32) if lookup(name).quantity == "id" else array.astype(np.float32)
+        with np.errstate(over="ignore"):
+            stored = (array + 1).astype(np.uint32) if lookup(name).quantity == "id" else array.astype(np.float32)
         planes = stored[..., None] if stored.ndim == 2 else stored
         for channel, plane in zip(_exr_channels(name), np.moveaxis(planes, 2, 0), strict=True):
             channels[channel] = np.ascontiguousarray(plane)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header["whitted"] = json.dumps({"passes": list(passes), "metadata": passes.metadata})
-    with OpenEXR.File(header, channels) as file:
-        file.write(str(path))
+    try:
+        with OpenEXR.File(header, channels) as file:
+            file.write(str(path))
+    except RuntimeError as error:  # a full disk, for example
+        raise OSError(str(error)) from error
 
 
 def _load_exr(path: Path) -> Passes:
     import OpenEXR
 
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            described = json.loads(file.header().get("whitted", "{}"))
-            planes = {name: channel.pixels for name, channel in file.channels().items()}
-    except (RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: not a readable .exr file ({error})") from error
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        described = json.loads(file.header().get("whitted", "{}"))
+        planes = {name: channel.pixels for name, channel in file.channels().items()}
     arrays: dict[str, NDArray[Any]] = {}
     for name in described.get("passes") or _guess_passes(planes):
+        missing = [channel for channel in _exr_channels(name) if channel not in planes]
+        if missing:
+            raise ValueError(f"pass '{name}' lacks the channel '{missing[0]}'")
         stacked = np.stack([planes[channel] for channel in _exr_channels(name)], axis=-1)
         row = lookup(name)
         if row.quantity == "id":

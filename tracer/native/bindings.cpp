@@ -4,9 +4,12 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/operators.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -78,18 +81,23 @@ void check_size(const nb::tuple &state, Names names) {
     }
 }
 
+void check_names(const std::string &type, Names names, const nb::kwargs &changes) {
+    for (const auto &[key, value] : changes) {
+        const auto name = nb::cast<std::string>(key);
+        if (std::find(names.begin(), names.end(), name) == names.end()) {
+            throw nb::type_error((type + " has no attribute '" + name + "'").c_str());
+        }
+    }
+}
+
 // The keyword arguments that make a copy with changes.
 nb::dict changed(nb::handle self, Names names, const nb::kwargs &changes) {
+    check_names(nb::cast<std::string>(self.type().attr("__name__")), names, changes);
     nb::dict arguments;
     for (const char *name : names) {
         arguments[name] = self.attr(name);
     }
     for (const auto &[name, value] : changes) {
-        if (!arguments.contains(name)) {
-            const std::string message = nb::cast<std::string>(self.type().attr("__name__")) + " has no attribute '" +
-                                        nb::cast<std::string>(name) + "'";
-            throw nb::type_error(message.c_str());
-        }
         arguments[name] = value;
     }
     return arguments;
@@ -107,9 +115,13 @@ void bind_value(nb::class_<T> &type, Names names) {
         .def(
             "__hash__", [names](nb::handle_t<T> self) { return nb::hash(attributes(self, names)); },
             nb::sig(hash_signature))
-        .def("__repr__", [names](nb::handle_t<T> self) { return represent(self, names); })
         .def("__copy__", [](nb::handle_t<T> self) { return nb::borrow(self); })
         .def("__deepcopy__", [](nb::handle_t<T> self, nb::handle) { return nb::borrow(self); }, "memo"_a);
+}
+
+template <class T>
+void bind_repr(nb::class_<T> &type, Names names) {
+    type.def("__repr__", [names](nb::handle_t<T> self) { return represent(self, names); });
 }
 
 template <class T>
@@ -218,6 +230,7 @@ void bind_errors(nb::module_ &module) {
             },
             nb::sig(set_state_signature));
     bind_value(type, diagnostic_names);
+    bind_repr(type, diagnostic_names);
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -302,6 +315,7 @@ void bind_view(nb::module_ &module) {
             },
             nb::sig(set_state_signature));
     bind_value(type, view_names);
+    bind_repr(type, view_names);
 }
 
 void bind_sphere(nb::module_ &module) {
@@ -350,6 +364,7 @@ void bind_sphere(nb::module_ &module) {
             },
             nb::sig(set_state_signature));
     bind_value(type, sphere_names);
+    bind_repr(type, sphere_names);
 }
 
 void bind_light(nb::module_ &module) {
@@ -386,6 +401,35 @@ void bind_light(nb::module_ &module) {
             },
             nb::sig(set_state_signature));
     bind_value(type, light_names);
+    bind_repr(type, light_names);
+}
+
+bool keeps_limits(const Scene &scene) { return check(scene, true).empty(); }
+
+template <class T>
+void take(const nb::kwargs &changes, const char *name, T &value) {
+    if (changes.contains(name) && !nb::try_cast(changes[name], value)) {
+        const std::string message = "Scene has no such " + std::string(name) + ": " + nb::repr(changes[name]).c_str();
+        throw nb::type_error(message.c_str());
+    }
+}
+
+Scene replace_in(Scene scene, bool limits, const nb::kwargs &changes) {
+    check_names("Scene", scene_names, changes);
+    take(changes, "view", scene.view);
+    take(changes, "spheres", scene.spheres);
+    take(changes, "lights", scene.lights);
+    take(changes, "background", scene.background);
+    take(changes, "ambient", scene.ambient);
+    take(changes, "output", scene.output);
+    scene.background = unsigned_zero(scene.background);
+    scene.ambient = unsigned_zero(scene.ambient);
+    raise_errors(check(scene, limits), in_code);
+    // Spheres that are not new have been warned about.
+    if (changes.contains("spheres")) {
+        warn(warnings(scene), in_code);
+    }
+    return scene;
 }
 
 void bind_scene_type(nb::module_ &module) {
@@ -433,20 +477,15 @@ void bind_scene_type(nb::module_ &module) {
             "The canonical text. `loads` makes an equal Scene of it, and equal Scenes have equal texts.")
         .def(
             "replace",
-            [](nb::handle_t<Scene> self, nb::object limits, const nb::kwargs &changes) {
-                nb::dict arguments = changed(self, scene_names, changes);
-                if (limits.is_none()) {
-                    limits = nb::bool_(check(nb::cast<const Scene &>(self), true).empty());
-                }
-                arguments["limits"] = limits;
-                return nb::type<Scene>()(**arguments);
+            [](const Scene &self, std::optional<bool> limits, const nb::kwargs &changes) {
+                return replace_in(self, limits.value_or(keeps_limits(self)), changes);
             },
             "limits"_a.none() = nb::none(), "changes"_a,
             nb::sig("def replace(self, *, limits: bool | None = None, view: View = ..., "
                     "spheres: Sequence[Sphere] = ..., lights: Sequence[Light] = ..., "
                     "background: Sequence[float] = ..., ambient: Sequence[float] = ..., output: str = ...) -> Scene"),
             "A copy with some attributes changed, checked like any Scene.\n\n"
-            "`limits` None asks of the copy what this Scene keeps itself.")
+            "`limits` None asks of the copy what this Scene keeps itself. Only new spheres are warned about.")
         .def("__getstate__",
              [](const Scene &self) {
                  const std::string canonical = text(self);
@@ -457,6 +496,10 @@ void bind_scene_type(nb::module_ &module) {
             raise_errors(result.errors, in_code);
             new (&self) Scene(std::move(result.scene));
         });
+    type.def("__repr__", [](nb::handle_t<Scene> self) {
+        const bool limits = keeps_limits(nb::cast<const Scene &>(self));
+        return represent(self, scene_names, limits ? ")" : ", limits=False)");
+    });
     bind_value(type, scene_names);
 }
 
@@ -490,6 +533,8 @@ void bind_scene(nb::module_ &module) {
 }  // namespace whitted
 
 NB_MODULE(_native, module) {
+    // Whoever keeps a Scene until the interpreter ends, in a traceback or a module, leaks nothing that matters.
+    nb::set_leak_warnings(false);
     module.doc() = "The tracer in C++: scenes and their rendering.";
     whitted::bind_scene(module);
     whitted::bind_render(module);

@@ -23,12 +23,12 @@ using Array = nb::ndarray<nb::numpy, nb::c_contig, nb::device::cpu>;
 using NamedArray = std::tuple<std::string, int, Array>;
 
 const std::map<std::string, PassKind> kinds = {
-    {"beauty", PassKind::beauty},     {"ambient", PassKind::ambient},
-    {"diffuse", PassKind::diffuse},   {"specular", PassKind::specular},
-    {"direct", PassKind::direct},     {"shadow.L*", PassKind::shadow},
+    {"beauty", PassKind::beauty},         {"ambient", PassKind::ambient},
+    {"diffuse", PassKind::diffuse},       {"specular", PassKind::specular},
+    {"direct", PassKind::direct},         {"shadow.L*", PassKind::shadow},
     {"reflection", PassKind::reflection}, {"reflection.*", PassKind::reflection_order},
-    {"depth", PassKind::depth},       {"position", PassKind::position},
-    {"normal", PassKind::normal},     {"id", PassKind::id},
+    {"depth", PassKind::depth},           {"position", PassKind::position},
+    {"normal", PassKind::normal},         {"id", PassKind::id},
 };
 
 std::string checked_instruction_set() {
@@ -45,10 +45,16 @@ Target target(const Scene &scene, const Settings &settings, const NamedArray &na
     const std::size_t expected = static_cast<std::size_t>(scene.view.columns * scene.view.rows) *
                                  static_cast<std::size_t>(channels(kind->second)) *
                                  value_size(kind->second, settings.precision);
-    if (array.nbytes() != expected) throw nb::value_error(("the array of pass '" + name + "' has a wrong size").c_str());
-    const int members = kind->second == PassKind::shadow ? static_cast<int>(scene.lights.size())
-                                                         : settings.max_reflections + 1;
-    if (member < 0 || (member > 0 && member >= members))
+    if (array.nbytes() != expected)
+        throw nb::value_error(("the array of pass '" + name + "' has a wrong size").c_str());
+    int least = 0;
+    int most = 0;
+    if (kind->second == PassKind::shadow) most = static_cast<int>(scene.lights.size()) - 1;
+    if (kind->second == PassKind::reflection_order) {
+        least = 1;
+        most = settings.max_reflections;
+    }
+    if (member < least || member > most)
         throw nb::value_error(("pass '" + name + "' has no member " + std::to_string(member)).c_str());
     return {kind->second, member, array.data()};
 }
@@ -83,7 +89,8 @@ void render_into(const Scene &scene, const std::vector<NamedArray> &arrays, cons
 void bind_render(nb::module_ &module) {
     module.def("render_into", &render_into, "scene"_a, "arrays"_a, "precision"_a, "threads"_a, "sample"_a,
                "shadow_epsilon"_a, "max_reflections"_a,
-               nb::sig("def render_into(scene: Scene, arrays: Sequence[tuple[str, int, NDArray[Any]]], precision: str, "
+               nb::sig("def render_into(scene: Scene, arrays: Sequence[tuple[str, int, "
+                       "numpy.typing.NDArray[typing.Any]]], precision: str, "
                        "threads: int, sample: str, shadow_epsilon: float, max_reflections: int) -> None"),
                "Fill arrays with passes; `tracer.render` is the checked face of this.");
     module.def("instruction_set", &checked_instruction_set,

@@ -1,4 +1,5 @@
-// What a kernel is given: the scene's constants in the kernel's precision, and a span of pixels to fill. Plain data only.
+// What a kernel is given: the scene's constants in the kernel's precision, and a span of pixels to fill. Plain data
+// only.
 #pragma once
 
 #include <cstddef>
@@ -9,21 +10,21 @@ namespace whitted {
 // One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
 template <class Real>
 struct SphereConstants {
-    double center[3];          // p
-    Real scale[3];             // |s|
-    Real inverse_scale[3];     // 1 / |s|
-    Real eye[3];               // the eye in the sphere's unit space: -p / |s|
-    Real eye_power;            // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real tangent;              // primary rays: |D| up to this counts as 0
-    Real ambient[3];           // Ka Ia O
-    Real color[3];             // O
-    Real reflection;           // Kr
-    Real exponent;             // n
-    std::int32_t integer;      // n where it is an integer that is multiplied out, else -1
-    std::int32_t index;        // in the scene, what the pass `id` shows
-    bool lit;                  // Kd or Ks is not 0
-    bool specular;             // Ks is not 0
-    const Real *light_terms;   // a light's Kd Ip (three) and Ks Ip (three), one light after the other
+    double center[3];               // p
+    Real scale[3];                  // |s|
+    Real inverse_scale[3];          // 1 / |s|
+    Real eye[3];                    // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;                 // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real tangent;                   // primary rays: |D| up to this counts as 0
+    Real ambient[3];                // Ka Ia O
+    Real color[3];                  // O
+    Real reflection;                // Kr
+    Real exponent;                  // n
+    std::int32_t integer;           // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;             // in the scene, what the pass `id` shows
+    bool lit;                       // Kd or Ks is not 0
+    bool specular;                  // Ks is not 0
+    const Real *light_terms;        // a light's Kd Ip (three) and Ks Ip (three), one light after the other
     const unsigned char *light_on;  // whether a light lies on this sphere's surface
 };
 

@@ -24,6 +24,8 @@ struct Kernel {
     static constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
     // Secondary rays: |D| up to this times max(1, |origin|) counts as 0, see docs/tolerances.md.
     static constexpr Real tangent_factor = 64 * unit_roundoff;
+    // Beyond this the digits are lost anyway; without it the middle of a far, small sphere would count as its outline.
+    static constexpr Real widest_tangent = Real(0.5);
 
     struct Vec {
         P x, y, z;
@@ -44,18 +46,18 @@ struct Kernel {
 
     // The nearest hit of each lane's ray.
     struct Hit {
-        P sphere;        // its place among the existing spheres; -1: none
+        P sphere;  // its place among the existing spheres; -1: none
         P t;
-        Vec n;           // the point in the sphere's unit space
-        Lanes inside;    // hit on its way out: the inside is what is seen
+        Vec n;         // the point in the sphere's unit space
+        Lanes inside;  // hit on its way out: the inside is what is seen
     };
 
     // Where a ray meets the unit sphere: t^2 a + 2 t h + c = 0.
     struct Roots {
         Lanes real;
         P near_t, far_t;
-        P half_chord;   // (far_t - near_t)/2
-        Vec closest;    // the ray's point closest to the centre
+        P half_chord;  // (far_t - near_t)/2
+        Vec closest;   // the ray's point closest to the centre
     };
 
     // c = |o|^2 - 1. tangent: how far D may be from 0 and count as 0, squared.
@@ -87,9 +89,7 @@ struct Kernel {
         nearest.inside = select(hit, inside, nearest.inside);
     }
 
-    static WHITTED_INLINE Hit no_hit() {
-        return {P(-one), P(Real(__builtin_inf())), broadcast_zero(), Lanes::none()};
-    }
+    static WHITTED_INLINE Hit no_hit() { return {P(-one), P(Real(__builtin_inf())), broadcast_zero(), Lanes::none()}; }
     static WHITTED_INLINE Vec broadcast_zero() { return {P(zero), P(zero), P(zero)}; }
 
     // Primary rays: the smallest t > 1; of equal ones the first in the file.
@@ -124,7 +124,8 @@ struct Kernel {
     }
 
     static WHITTED_INLINE P secondary_tangent(P distance_squared) {
-        return P(tangent_factor * tangent_factor) * maximum(distance_squared, P(one));
+        return minimum(P(tangent_factor * tangent_factor) * maximum(distance_squared, P(one)),
+                       P(widest_tangent * widest_tangent));
     }
 
     // Reflected rays: on the sphere they start from only the other root, which the outside never meets.

@@ -39,6 +39,15 @@ fs::path resolved(fs::path path, std::error_code &error) {
     return {};
 }
 
+// Whether both are one file; false where one of them does not exist.
+bool is_same_file(const std::string &path, const std::string &scene) {
+    struct stat one{};
+    struct stat other{};
+    if (::stat(path.c_str(), &one) != 0) return false;
+    if ((scene == "-" ? ::fstat(STDIN_FILENO, &other) : ::stat(scene.c_str(), &other)) != 0) return false;
+    return one.st_dev == other.st_dev && one.st_ino == other.st_ino && S_ISREG(one.st_mode);
+}
+
 bool is_below(const fs::path &path, const fs::path &folder) {
     return std::mismatch(folder.begin(), folder.end(), path.begin(), path.end()).first == folder.end();
 }
@@ -47,7 +56,8 @@ bool is_below(const fs::path &path, const fs::path &folder) {
 
 Problem check_output_field(const std::string &name) {
     const fs::path path(name);
-    if (path.is_absolute()) return {"OUTPUT " + in_quotes(name) + " is an absolute path, which a scene may not write", use_o};
+    if (path.is_absolute())
+        return {"OUTPUT " + in_quotes(name) + " is an absolute path, which a scene may not write", use_o};
     if (std::find(path.begin(), path.end(), "..") != path.end())
         return {"OUTPUT " + in_quotes(name) + " contains '..', which leads out of the current folder", use_o};
     std::error_code error;
@@ -75,12 +85,14 @@ Problem OutputFile::open(const std::string &name, const std::string &scene, std:
         return {};
     }
     std::error_code error;
-    if (scene != "-" && fs::equivalent(path, scene, error))
+    if (is_same_file(path, scene))
         return {in_quotes(path) + " is the scene file itself, which is not overwritten", "choose another file with -o"};
     const fs::file_status status = fs::status(path, error);
     if (fs::is_directory(status)) return {in_quotes(path) + " is a folder", "name a file with -o"};
     if (fs::exists(status) && !fs::is_regular_file(status)) {
-        descriptor = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
+        do {  // opening a pipe waits for its reader
+            descriptor = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
+        } while (descriptor < 0 && errno == EINTR && !stopped());
         if (descriptor < 0) return {"cannot write " + in_quotes(path) + ": " + reason(errno), ""};
         return {};
     }
@@ -89,11 +101,13 @@ Problem OutputFile::open(const std::string &name, const std::string &scene, std:
     const fs::path target = resolved(fs::absolute(path, error), error);
     if (error) return {"cannot write " + in_quotes(path) + ": " + error.message(), "name another file with -o"};
     const std::string folder = target.parent_path().string();
-    struct statvfs disk {};
+    struct statvfs disk{};
     if (::statvfs(folder.c_str(), &disk) != 0)
-        return {"cannot write " + in_quotes(path) + ": " + reason(errno), "create the folder, or name another file with -o"};
+        return {"cannot write " + in_quotes(path) + ": " + reason(errno),
+                "create the folder, or name another file with -o"};
     const double available = static_cast<double>(disk.f_bavail) * static_cast<double>(disk.f_frsize);
-    if (static_cast<double>(size) > available)
+    const bool known = disk.f_blocks > 0;  // some network and virtual file systems do not say
+    if (known && static_cast<double>(size) > available)
         return {"the image needs " + std::to_string(size) + " bytes, but the disk has room for " +
                     std::to_string(static_cast<std::int64_t>(available)),
                 "lower RES, or write to another disk or a pipe with -o"};
@@ -103,7 +117,8 @@ Problem OutputFile::open(const std::string &name, const std::string &scene, std:
     descriptor = ::mkostemp(temporary.data(), O_CLOEXEC);
     if (descriptor < 0) {
         temporary.clear();
-        return {"cannot write into the folder " + in_quotes(folder) + ": " + reason(errno), "name another file with -o"};
+        return {"cannot write into the folder " + in_quotes(folder) + ": " + reason(errno),
+                "name another file with -o"};
     }
     return {};
 }
@@ -111,6 +126,9 @@ Problem OutputFile::open(const std::string &name, const std::string &scene, std:
 Problem OutputFile::write(const char *data, std::size_t size) {
     while (size > 0) {
         const ssize_t written = ::write(descriptor, data, size);
+        if (written < 0 ? errno == EINTR : static_cast<std::size_t>(written) < size) {
+            if (stopped()) return {"stopped", ""};
+        }
         if (written < 0) {
             if (errno == EINTR) continue;
             return {"cannot write " + (path == "-" ? "to stdout" : in_quotes(path)) + ": " + reason(errno), ""};

@@ -21,8 +21,9 @@ Problem check_output_field(const std::string &name);
 // A file that is written beside its final name and renamed at the end. Devices, pipes and "-" (stdout) are written
 // directly. Without finish() nothing is left behind.
 class OutputFile {
-public:
-    OutputFile() = default;
+  public:
+    // stopped: whether a signal asked to stop, so that waiting for the reader of a pipe ends.
+    explicit OutputFile(bool (*stopped_by_signal)()) : stopped(stopped_by_signal) {}
     ~OutputFile();
     OutputFile(const OutputFile &) = delete;
     OutputFile &operator=(const OutputFile &) = delete;
@@ -31,8 +32,11 @@ public:
     Problem open(const std::string &path, const std::string &scene, std::int64_t size);
     Problem write(const char *data, std::size_t size);
     Problem finish();
+    // Whether what was written so far is already with its reader.
+    bool is_direct() const { return temporary.empty(); }
 
-private:
+  private:
+    bool (*stopped)();
     std::string path;
     std::string temporary;
     int descriptor = -1;

@@ -96,9 +96,7 @@ WHITTED_INLINE Packet<Real, Width> power(Packet<Real, Width> x, Real n, int inte
             if (integer & 1) result = result * square;
         return result;
     }
-    const auto tiny = x < P(PowerConstants<Real>::smallest);
-    const P y = P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest)));
-    return select(tiny, P(Real(0)), exponential(y));
+    return exponential(P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest))));
 }
 
 }  // namespace

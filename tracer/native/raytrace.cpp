@@ -1,13 +1,18 @@
 // raytrace SCENE: renders a scene to the PPM file that it names.
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <charconv>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <cstring>
+#include <exception>
+#include <limits>
 #include <new>
 #include <optional>
 #include <string>
@@ -68,6 +73,8 @@ std::atomic<int> stop_signal{0};
 
 void on_signal(int signal) { stop_signal = signal; }
 
+bool is_stopped() { return stop_signal != 0; }
+
 int fail(const Problem &problem) {
     std::fprintf(stderr, "error: %s\n", problem.message.c_str());
     if (!problem.hint.empty()) std::fprintf(stderr, "  hint: %s\n", problem.hint.c_str());
@@ -75,12 +82,12 @@ int fail(const Problem &problem) {
 }
 
 constexpr std::array<std::string_view, 10> option_names{
-    "--output",         "--precision",       "--threads",   "--sample",  "--shadow-epsilon",
-    "--max-reflections", "--no-limits",       "--version",   "--help",    "-o"};
+    "--output",          "--precision", "--threads", "--sample", "--shadow-epsilon",
+    "--max-reflections", "--no-limits", "--version", "--help",   "-o"};
 
 std::string nearest_option(std::string_view wrong) {
     std::string_view nearest;
-    std::size_t least = 4;
+    std::size_t least = std::min<std::size_t>(4, wrong.size() / 2);  // a letter of two is no likeness
     for (const std::string_view name : option_names) {
         const std::size_t distance = whitted::edit_distance(wrong, name);
         if (distance < least) {
@@ -182,11 +189,9 @@ Problem parse_arguments(int count, char **arguments, Options &options, std::stri
 
 // A line on stderr that is redrawn while the work takes longer than a second.
 class Progress {
-public:
+  public:
     explicit Progress(std::int64_t whole) : total(whole), enabled(::isatty(STDERR_FILENO) == 1) {}
-    ~Progress() {
-        if (shown) std::fputs("\r\x1b[K", stderr);
-    }
+    ~Progress() { clear(); }
     Progress(const Progress &) = delete;
     Progress &operator=(const Progress &) = delete;
 
@@ -200,50 +205,72 @@ public:
         shown = true;
     }
 
-private:
+    void clear() {
+        if (shown) std::fputs("\r\x1b[K", stderr);
+        shown = false;
+    }
+
+  private:
     std::int64_t total;
     bool enabled;
     bool shown = false;
     std::chrono::steady_clock::time_point start = std::chrono::steady_clock::now();
 };
 
-int stopped() {
-    std::fputs("stopped: nothing was written\n", stderr);
+int stopped(bool incomplete = false) {
+    std::fputs(incomplete ? "stopped: the image is incomplete\n" : "stopped: nothing was written\n", stderr);
     return 128 + stop_signal;
 }
 
 int render(const Options &options, const whitted::Scene &scene) {
     const std::int64_t pixels = scene.view.columns * scene.view.rows;
+    if (pixels > (std::numeric_limits<std::int64_t>::max() - 100) / 3)
+        return fail({"an image of " + std::to_string(scene.view.columns) + " x " + std::to_string(scene.view.rows) +
+                         " pixels is larger than any file can be",
+                     "lower RES"});
     const std::string header = whitted::ppm_header(scene.view.columns, scene.view.rows);
     const std::string path = options.output.empty() ? scene.output : options.output;
     if (options.output.empty()) {
         if (const Problem problem = whitted::check_output_field(path)) return fail(problem);
     }
-    whitted::OutputFile file;
+    whitted::OutputFile file(is_stopped);
     // A scene may name a file '-'; stdout is only for -o.
     if (const Problem problem = file.open(options.output.empty() && path == "-" ? "./-" : path, options.scene,
                                           3 * pixels + static_cast<std::int64_t>(header.size())))
-        return fail(problem);
+        return is_stopped() ? stopped() : fail(problem);
 
     // Bands of pixels: large enough for all threads, small enough that memory does not grow with the image.
     constexpr std::int64_t band_pixels = 1 << 20;
     std::vector<unsigned char> band(static_cast<std::size_t>(3 * std::min(pixels, band_pixels)));
     const whitted::Renderer renderer(scene, options.settings);
-    if (const Problem problem = file.write(header.data(), header.size())) return fail(problem);
+    if (const Problem problem = file.write(header.data(), header.size()))
+        return is_stopped() ? stopped(file.is_direct()) : fail(problem);
     Progress progress(pixels);
     for (std::int64_t first = 0; first < pixels; first += band_pixels) {
         const std::int64_t last = std::min(first + band_pixels, pixels);
         const auto poll = [&](std::int64_t done) {
             progress.update(first + done);
-            return stop_signal == 0;
+            return !is_stopped();
         };
         const bool whole = renderer.render(first, last, {{whitted::PassKind::beauty8, 0, band.data()}}, poll);
-        if (!whole || stop_signal != 0) return stopped();
-        if (const Problem problem =
-                file.write(reinterpret_cast<const char *>(band.data()), static_cast<std::size_t>(3 * (last - first))))
-            return stop_signal != 0 ? stopped() : fail(problem);
+        Problem problem;
+        if (whole && !is_stopped())
+            problem =
+                file.write(reinterpret_cast<const char *>(band.data()), static_cast<std::size_t>(3 * (last - first)));
+        if (is_stopped() || problem) {
+            progress.clear();
+            return is_stopped() ? stopped(file.is_direct()) : fail(problem);
+        }
     }
+    progress.clear();
     if (const Problem problem = file.finish()) return fail(problem);
+    return success;
+}
+
+// What --help and --version print.
+int show(const std::string &text) {
+    if (std::fputs(text.c_str(), stdout) < 0 || std::fflush(stdout) != 0)
+        return fail({std::string("cannot write to stdout: ") + std::strerror(errno), ""});
     return success;
 }
 
@@ -251,17 +278,12 @@ int run(int count, char **arguments) {
     Options options;
     std::string_view shown;
     if (const Problem problem = parse_arguments(count, arguments, options, shown)) return fail(problem);
-    if (shown == "--help") {
-        std::fputs(help_text, stdout);
-        return success;
-    }
+    if (shown == "--help") return show(help_text);
     std::string problem;
     const std::string isa = whitted::instruction_set(problem);
     if (isa.empty()) return fail({problem, "unset WHITTED_ISA to use the best one"});
-    if (shown == "--version") {
-        std::printf("raytrace %s (%s, %s)\n", WHITTED_VERSION, isa.c_str(), whitted::compiler().c_str());
-        return success;
-    }
+    if (shown == "--version")
+        return show("raytrace " + std::string(WHITTED_VERSION) + " (" + isa + ", " + whitted::compiler() + ")\n");
 
     // No scene within the limits comes near this; a device or a log given by mistake does.
     constexpr std::size_t most_bytes = std::size_t{64} << 20;
@@ -269,7 +291,7 @@ int run(int count, char **arguments) {
     std::string text;
     if (const Problem unreadable =
             whitted::read_file(options.scene, options.limits ? most_bytes : most_bytes_without_limits, text))
-        return fail(unreadable);
+        return is_stopped() ? stopped() : fail(unreadable);
     const std::string source = options.scene == "-" ? "<stdin>" : options.scene;
     whitted::ParseResult parsed = whitted::parse(text, options.limits);
     if (parsed.errors.empty() && options.settings.precision == whitted::Precision::f32)
@@ -285,15 +307,26 @@ int run(int count, char **arguments) {
 }  // namespace
 
 int main(int count, char **arguments) {
-    struct sigaction action {};
-    action.sa_handler = on_signal;
-    ::sigaction(SIGINT, &action, nullptr);
-    ::sigaction(SIGTERM, &action, nullptr);
-    ::sigaction(SIGHUP, &action, nullptr);
+    // A closed stdin, stdout or stderr must not become the number of the image file: what is open for the other
+    // direction fails just as a closed one does.
+    for (const int descriptor : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})
+        if (::fcntl(descriptor, F_GETFD) < 0) ::open("/dev/null", descriptor == STDIN_FILENO ? O_WRONLY : O_RDONLY);
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+        struct sigaction action{};
+        ::sigaction(signal, nullptr, &action);
+        if (action.sa_handler == SIG_IGN) continue;  // nohup, or a job in the background of a script
+        action = {};
+        action.sa_handler = on_signal;
+        ::sigaction(signal, &action, nullptr);
+    }
+    // A closed pipe and a file that grows too large are errors of write().
     std::signal(SIGPIPE, SIG_IGN);
+    std::signal(SIGXFSZ, SIG_IGN);
     try {
         return run(count, arguments);
     } catch (const std::bad_alloc &) {
         return fail({"there is not enough memory for this scene", "use fewer spheres and lights"});
+    } catch (const std::exception &unforeseen) {
+        return fail({unforeseen.what(), "please report this"});
     }
 }

@@ -8,7 +8,10 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <exception>
 #include <limits>
+#include <mutex>
+#include <set>
 #include <system_error>
 #include <thread>
 
@@ -71,6 +74,8 @@ constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24)
 
 // Rounding bound of D for primary rays, in units of u max(1, |eye|): docs/tolerances.md derives it.
 constexpr double tangent_factor = 64;
+// Its largest value, see kernel.hpp.
+constexpr double widest_tangent = 0.5;
 
 template <class Real>
 void narrow(Real (&to)[3], const Vec3 &from) {
@@ -92,7 +97,7 @@ bool on_surface(const Sphere &sphere, const Light &light) {
 
 // Sets the default rounding and denormal modes for its lifetime.
 class DefaultFloatingPoint {
-public:
+  public:
     DefaultFloatingPoint() {
         std::fegetenv(&saved);
         std::fesetenv(FE_DFL_ENV);
@@ -101,7 +106,7 @@ public:
     DefaultFloatingPoint(const DefaultFloatingPoint &) = delete;
     DefaultFloatingPoint &operator=(const DefaultFloatingPoint &) = delete;
 
-private:
+  private:
     std::fenv_t saved;
 };
 
@@ -175,9 +180,11 @@ struct Renderer::Prepared {
     View view;
     Settings settings;
     virtual ~Prepared() = default;
+    // Called with the number of pixels that were just finished; false: leave the rest.
+    using GoOn = std::function<bool(std::int64_t)>;
     // Renders pixels begin .. end - 1, counted row by row; the targets begin with pixel `first`.
-    virtual void pixels(std::int64_t begin, std::int64_t end, std::int64_t first,
-                        const std::vector<Target> &targets) const = 0;
+    virtual void pixels(std::int64_t begin, std::int64_t end, std::int64_t first, const std::vector<Target> &targets,
+                        const GoOn &go_on) const = 0;
 };
 
 template <class Real>
@@ -219,8 +226,9 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 power += eye * eye;
             }
             to.eye_power = static_cast<Real>(power);
-            to.tangent = static_cast<Real>(tangent_factor * static_cast<double>(unit_roundoff<Real>) *
-                                           std::max(1.0, std::sqrt(power + 1)));
+            to.tangent =
+                static_cast<Real>(std::min(widest_tangent, tangent_factor * static_cast<double>(unit_roundoff<Real>) *
+                                                               std::max(1.0, std::sqrt(power + 1))));
             narrow(to.color, sphere.color);
             to.reflection = static_cast<Real>(sphere.kr);
             to.exponent = static_cast<Real>(sphere.exponent);
@@ -279,8 +287,13 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 take(shadow.data(), shadow.size());
             }
             if (wanted(PassKind::reflection_order)) {
+                // Up to 1000 bounces: memory only for those that are asked for.
                 reflection_order.resize(3 * static_cast<std::size_t>(max_reflections));
-                take(reflection_order.data(), reflection_order.size());
+                std::set<int> bounces;
+                for (const Target &target : targets)
+                    if (target.kind == PassKind::reflection_order) bounces.insert(target.member);
+                for (const int bounce : bounces)
+                    take(reflection_order.data() + 3 * (static_cast<std::size_t>(bounce) - 1), 3);
             }
             values.resize(used.size() * span_columns);
             for (std::size_t k = 0; k < used.size(); ++k) *used[k] = values.data() + k * span_columns;
@@ -291,7 +304,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         // Shadow and the single reflections are only written where something is hit.
         void clear() {
             for (Real *plane : shadow) std::fill_n(plane, span_columns, Real(0));
-            for (Real *plane : reflection_order) std::fill_n(plane, span_columns, Real(0));
+            for (Real *plane : reflection_order)
+                if (plane) std::fill_n(plane, span_columns, Real(0));
         }
 
         const Real *const *planes_of(const Target &target) const {
@@ -343,8 +357,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         }
     }
 
-    void pixels(std::int64_t begin, std::int64_t end, std::int64_t first,
-                const std::vector<Target> &targets) const override {
+    void pixels(std::int64_t begin, std::int64_t end, std::int64_t first, const std::vector<Target> &targets,
+                const GoOn &go_on) const override {
         constexpr std::int64_t widest = widest_packet;
         Buffer buffer(targets, scene.light_count, settings.max_reflections);
         alignas(64) Real directions[span_columns];
@@ -367,11 +381,13 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                           static_cast<std::size_t>(padded), buffer.planes});
             for (const Target &target : targets) deliver(target, buffer.planes_of(target), pixel - first, count);
             pixel += count;
+            if (!go_on(count)) return;
         }
     }
 };
 
 Renderer::Renderer(const Scene &scene, const Settings &settings) {
+    const DefaultFloatingPoint modes;
     std::string problem;
     const Kernels *kernels = choose(problem);
     if (settings.precision == Precision::f64) {
@@ -390,20 +406,30 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
     std::atomic<std::int64_t> next{first};
     std::atomic<std::int64_t> done{0};
     std::atomic<bool> stopped{false};
+    std::mutex failing;
+    std::exception_ptr failure;
 
     const auto work = [&](bool may_poll) {
         const DefaultFloatingPoint modes;
         auto polled = Clock::now();
-        for (;;) {
-            const std::int64_t begin = next.fetch_add(piece, std::memory_order_relaxed);
-            if (begin >= last || stopped.load(std::memory_order_relaxed)) return;
-            const std::int64_t end = std::min(begin + piece, last);
-            prepared->pixels(begin, end, first, targets);
-            done.fetch_add(end - begin, std::memory_order_relaxed);
+        const Prepared::GoOn go_on = [&](std::int64_t count) {
+            done.fetch_add(count, std::memory_order_relaxed);
             if (may_poll && Clock::now() - polled > poll_interval) {
                 if (!poll(done.load(std::memory_order_relaxed))) stopped = true;
                 polled = Clock::now();
             }
+            return !stopped.load(std::memory_order_relaxed);
+        };
+        try {
+            while (!stopped.load(std::memory_order_relaxed)) {
+                const std::int64_t begin = next.fetch_add(piece, std::memory_order_relaxed);
+                if (begin >= last) return;
+                prepared->pixels(begin, std::min(begin + piece, last), first, targets, go_on);
+            }
+        } catch (...) {  // out of memory: the calling thread says so once all have come to an end
+            const std::lock_guard lock(failing);
+            failure = std::current_exception();
+            stopped = true;
         }
     };
 
@@ -414,6 +440,7 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
     }
     threads = std::min<std::int64_t>({threads, (last - first + piece - 1) / piece, most_threads});
     std::vector<std::thread> helpers;
+    helpers.reserve(static_cast<std::size_t>(threads));
     try {
         for (std::int64_t k = 1; k < threads; ++k) helpers.emplace_back(work, false);
     } catch (const std::system_error &) {
@@ -421,6 +448,7 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
     }
     work(static_cast<bool>(poll));
     for (std::thread &helper : helpers) helper.join();
+    if (failure) std::rethrow_exception(failure);
     return !stopped;
 }
 

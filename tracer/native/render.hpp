@@ -58,7 +58,7 @@ struct Target {
 int channels(PassKind kind);
 std::size_t value_size(PassKind kind, Precision precision);
 
-// Called from the calling thread about every 50 ms with the number of pixels done; false stops the rendering.
+// Called in the calling thread about every 50 ms with the number of pixels done; false stops the rendering.
 using Poll = std::function<bool(std::int64_t)>;
 
 // The name of the instruction set in use, or "" when WHITTED_ISA asks for one that is unknown or that this processor
@@ -70,17 +70,18 @@ std::string compiler();
 
 // A scene made ready for rendering.
 class Renderer {
-public:
+  public:
     // The scene is valid, and fit for the precision (check_float32). instruction_set() is not "".
     Renderer(const Scene &scene, const Settings &settings);
     ~Renderer();
     Renderer(const Renderer &) = delete;
     Renderer &operator=(const Renderer &) = delete;
 
-    // Fills the targets with pixels first .. last - 1, counted row by row. False when poll stopped it.
+    // Fills the targets with pixels first .. last - 1, counted row by row. False when poll stopped it. The rounding and
+    // denormal modes of the calling thread play no part and are left as they were.
     bool render(std::int64_t first, std::int64_t last, const std::vector<Target> &targets, const Poll &poll) const;
 
-private:
+  private:
     struct Prepared;
     template <class Real>
     struct PreparedFor;

@@ -6,11 +6,13 @@
 #include <bit>
 #include <charconv>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numeric>
 #include <optional>
 #include <span>
 #include <system_error>
+#include <utility>
 
 namespace whitted {
 namespace {
@@ -155,7 +157,7 @@ std::string strange_hint(std::string_view word) {
         if (character.valid && (code == 0x0b || code == 0x0c || code == 0x85 || code == 0xa0 || code == 0x1680 ||
                                 (code >= 0x2000 && code <= 0x200a) || code == 0x2028 || code == 0x2029 ||
                                 code == 0x202f || code == 0x205f || code == 0x3000)) {
-            return "only spaces and tabs separate parameters, only line feeds and carriage returns lines";
+            return "only spaces and tabs separate parameters";
         }
         index += character.length;
     }
@@ -209,11 +211,12 @@ std::string listed(std::span<const std::string> items) {
 std::string_view verb(std::size_t count) { return count == 1 ? "is" : "are"; }
 
 std::string replaced(std::string_view text, std::string_view from, std::string_view to) {
-    std::string result(text);
-    for (std::size_t at = result.find(from); at != std::string::npos; at = result.find(from, at + to.size())) {
-        result.replace(at, from.size(), to);
+    std::string result;
+    for (std::size_t at = text.find(from); at != std::string_view::npos; at = text.find(from)) {
+        result.append(text.substr(0, at)).append(to);
+        text.remove_prefix(at + from.size());
     }
-    return result;
+    return result.append(text);
 }
 
 std::string upper(std::string_view text) {
@@ -422,9 +425,13 @@ std::string size_hint(std::string_view token) {
     if (number.valid) {
         return "";
     }
-    const std::string grouped = replaced(replaced(token, ",", ""), "_", "");
-    const auto size = parse_size(grouped);
-    return size && *size >= 1 && token.size() <= 20 ? did_you_mean(grouped) : "";
+    if (token.find(',') != std::string_view::npos) {
+        // Thousands, but not fractions.
+        const std::string grouped = replaced(token, ",", "");
+        return token.size() <= 30 && token.rfind(',') + 4 == token.size() && parse_size(grouped) ? did_you_mean(grouped)
+                                                                                                 : "";
+    }
+    return number_hint(token);
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -461,7 +468,7 @@ std::optional<Fault> fault_of_number(Kind kind, double value) {
             if (value >= 0 && value <= 1) {
                 return std::nullopt;
             }
-            return Fault{"a number from 0 to 1", kind == Kind::color && value > 1 && value <= 255
+            return Fault{"a number from 0 to 1", kind == Kind::color && value >= 2 && value <= 255
                                                      ? "colours run from 0 to 1: divide 8-bit values by 255"
                                                      : ""};
         case Kind::exponent:
@@ -491,7 +498,7 @@ std::optional<Fault> fault_of_text(Kind kind, std::string_view value) {
         return Fault{"printable characters without blanks", strange_hint(value)};
     }
     if (kind == Kind::name && value.size() > longest_name) {
-        return Fault{"at most 20 bytes", ""};
+        return Fault{join("at most ", std::to_string(longest_name), " bytes"), ""};
     }
     return std::nullopt;
 }
@@ -501,7 +508,7 @@ std::optional<Fault> fault_of_size(std::int64_t value, bool limits) {
         return Fault{"an integer of at least 1", ""};
     }
     if (limits && value > longest_side) {
-        return Fault{"at most 100000", std::string(limit_hint)};
+        return Fault{join("at most ", std::to_string(longest_side)), std::string(limit_hint)};
     }
     if (value == largest_integer) {
         return Fault{"an integer below 2^63 - 1", ""};
@@ -510,9 +517,9 @@ std::optional<Fault> fault_of_size(std::int64_t value, bool limits) {
 }
 
 // `object` says which of several in a Scene made in code, for example " of spheres[2]".
-std::string found_message(std::string_view shown, std::string_view parameter, std::string_view object,
-                          std::string_view expected) {
-    return join("found ", shown, " for '", parameter, "'", object, ", expected ", expected);
+std::string found_message(std::string_view field, std::string_view shown, std::string_view parameter,
+                          std::string_view object, std::string_view expected) {
+    return join(field, ": found ", shown, " for '", parameter, "'", object, ", expected ", expected);
 }
 
 std::string shown_name(Kind kind, std::string_view name) {
@@ -532,12 +539,12 @@ std::string order_hint(double low_value, double high_value) {
 bool too_many_pixels(std::int64_t columns, std::int64_t rows) { return columns > largest_integer / rows; }
 
 std::string pixels_message(std::int64_t columns, std::int64_t rows) {
-    return join("found ", std::to_string(columns), " x ", std::to_string(rows),
+    return join("RES: found ", std::to_string(columns), " x ", std::to_string(rows),
                 " pixels, expected a number of pixels that 64 bits can count");
 }
 
 std::string count_message(std::size_t count, std::string_view objects) {
-    return join("found ", std::to_string(count), " ", objects, ", expected at most 5");
+    return join("found ", std::to_string(count), " ", objects, ", expected at most ", std::to_string(most_objects));
 }
 
 // Collects diagnostics: the first of them in order of place, and how many there are.
@@ -792,8 +799,8 @@ class Parser {
         std::string message = join("found ", quoted(word.text), ", expected the name of a field");
         if (is_comment(word.text)) {
             error(word, message, "scene files have no comments: remove the line");
-        } else if (const std::string hint = strange_hint(word.text); !hint.empty()) {
-            error(word, message, hint);
+        } else if (const std::string strange = strange_hint(word.text); !strange.empty()) {
+            error(word, message, strange);
         } else if (is_number(word.text)) {
             error(word, message, "the parameters of a field follow its name on one line");
         } else if (const Field *field = nearest_field(word.text)) {
@@ -815,44 +822,44 @@ class Parser {
         const std::size_t count = line_.count - 1;
         const std::span<const Token> given = std::span(line_.tokens).subspan(1);
         const std::string found =
-            join("found ", count == 0 ? "no" : std::to_string(count), count == 1 ? " parameter" : " parameters",
-                 ", expected ", std::to_string(expected), ": ");
-        std::string hint;
+            join(field_, ": found ", count == 0 ? "no" : std::to_string(count),
+                 count == 1 ? " parameter" : " parameters", ", expected ", std::to_string(expected), ": ");
+        Token place{"", line_.end};
+        std::string message, hint;
         if (count > expected) {
-            const Token &surplus = given[expected];
+            place = given[expected];
+            message =
+                join(found, quoted(place.text), count == expected + 1 ? " is" : " and what follows is", " too much");
             hint = surplus_hint(field, given);
-            const std::string_view excess = count - expected == 1 ? " is too much" : " and what follows is too much";
-            error(surplus, join(found, quoted(surplus.text), excess), hint.empty() ? write_hint(field) : hint);
+        } else if (name_missing(field, given)) {
+            message = join(found, "'name' is missing");
+            hint = write_hint(field);
         } else {
             std::vector<std::string> names;
-            if (names_missing(field, given)) {
-                names.emplace_back("name");
-                hint = write_hint(field);
-            } else {
-                for (const Parameter &parameter : field.parameters.subspan(count)) {
-                    names.emplace_back(parameter.name);
+            for (const Parameter &parameter : field.parameters.subspan(count)) {
+                names.emplace_back(parameter.name);
+            }
+            message = join(found, listed(names), " ", verb(names.size()), " missing");
+            hint = missing_hint(field, given);
+        }
+        if (hint.empty()) {
+            hint = write_hint(field);
+            // Nothing says that the tokens stand in the wrong places: the numbers can be looked at.
+            for (std::size_t index = 0; index < std::min(count, expected); ++index) {
+                const Parameter &parameter = field.parameters[index];
+                if (parameter.kind != Kind::name && parameter.kind != Kind::file && parameter.kind != Kind::size &&
+                    !is_number(given[index].text)) {
+                    not_a_number(parameter, given[index]);
                 }
-                hint = missing_hint(field, given);
-            }
-            error({"", line_.end}, join(found, listed(names), " ", verb(names.size()), " missing"),
-                  hint.empty() ? write_hint(field) : hint);
-        }
-        if (!hint.empty()) {
-            return;  // the tokens do not stand where they belong, or the hint mends them too
-        }
-        for (std::size_t index = 0; index < std::min(count, expected); ++index) {
-            const Parameter &parameter = field.parameters[index];
-            if (parameter.kind != Kind::name && parameter.kind != Kind::file && parameter.kind != Kind::size &&
-                !is_number(given[index].text)) {
-                not_a_number(parameter, given[index]);
             }
         }
+        error(place, std::move(message), std::move(hint));
     }
 
     static std::string write_hint(const Field &field) { return join("write ", usage(field)); }
 
     // Whether all that is missing is a name in front of the numbers.
-    static bool names_missing(const Field &field, std::span<const Token> given) {
+    static bool name_missing(const Field &field, std::span<const Token> given) {
         return field.parameters[0].kind == Kind::name && given.size() + 1 == field.parameters.size() &&
                std::all_of(given.begin(), given.end(), [](const Token &token) { return is_number(token.text); });
     }
@@ -908,14 +915,15 @@ class Parser {
                 for (const Token &token : given.subspan(1, words - 1)) {
                     name.append("_").append(token.text);
                 }
-                return join("names have no blanks: ", did_you_mean(name));
+                return join("names have no blanks", name.size() <= 60 ? ": " + did_you_mean(name) : "");
             }
         }
         return "";
     }
 
     void not_a_number(const Parameter &parameter, const Token &token) {
-        error(token, found_message(quoted(token.text), parameter.name, "", "a number"), number_hint(token.text));
+        error(token, found_message(field_, quoted(token.text), parameter.name, "", "a number"),
+              number_hint(token.text));
     }
 
     std::optional<double> number(const Parameter &parameter, const Token &token) {
@@ -925,7 +933,7 @@ class Parser {
             return std::nullopt;
         }
         if (const auto fault = fault_of_number(parameter.kind, parsed.value)) {
-            error(token, found_message(quoted(token.text), parameter.name, "", fault->expected),
+            error(token, found_message(field_, quoted(token.text), parameter.name, "", fault->expected),
                   parsed.underflow ? "it is so small that it is 0 as a float64" : fault->hint);
             return std::nullopt;
         }
@@ -935,10 +943,10 @@ class Parser {
     std::optional<std::int64_t> size(const Parameter &parameter, const Token &token) {
         const auto value = parse_size(token.text);
         if (!value) {
-            error(token, found_message(quoted(token.text), parameter.name, "", "an integer of at least 1"),
+            error(token, found_message(field_, quoted(token.text), parameter.name, "", "an integer of at least 1"),
                   size_hint(token.text));
         } else if (const auto fault = fault_of_size(*value, limits_)) {
-            error(token, found_message(quoted(token.text), parameter.name, "", fault->expected), fault->hint);
+            error(token, found_message(field_, quoted(token.text), parameter.name, "", fault->expected), fault->hint);
         } else {
             return value;
         }
@@ -949,7 +957,8 @@ class Parser {
     bool word(const Parameter &parameter, const Token &token) {
         const auto fault = fault_of_text(parameter.kind, token.text);
         if (fault) {
-            error(token, found_message(shown_name(parameter.kind, token.text), parameter.name, "", fault->expected),
+            error(token,
+                  found_message(field_, shown_name(parameter.kind, token.text), parameter.name, "", fault->expected),
                   fault->hint);
         }
         return !fault;
@@ -1101,12 +1110,8 @@ class Checker {
     std::vector<Diagnostic> run(const Scene &scene) {
         const View &view = scene.view;
         numbers(NEAR, 0, {&view.near_plane, 1}, "");
-        numbers(LEFT, 0, {&view.left, 1}, "");
-        numbers(RIGHT, 0, {&view.right, 1}, "");
-        order(LEFT, view.left, RIGHT, view.right);
-        numbers(BOTTOM, 0, {&view.bottom, 1}, "");
-        numbers(TOP, 0, {&view.top, 1}, "");
-        order(BOTTOM, view.bottom, TOP, view.top);
+        edges(LEFT, view.left, RIGHT, view.right);
+        edges(BOTTOM, view.bottom, TOP, view.top);
         sizes(view.columns, view.rows);
         count(SPHERE, scene.spheres.size(), "spheres");
         for (std::size_t index = 0; index < scene.spheres.size(); ++index) {
@@ -1138,21 +1143,28 @@ class Checker {
         report_.add({0, 0, std::string(fields[field].name), std::move(message), std::move(hint)});
     }
 
-    // The values of a field's parameters, from the first of them on.
-    void numbers(FieldIndex field, std::size_t first, std::span<const double> values, std::string_view object) {
+    // The values of a field's parameters from `first` on: whether they are in order.
+    bool numbers(FieldIndex field, std::size_t first, std::span<const double> values, std::string_view object) {
+        bool valid = true;
         for (std::size_t index = 0; index < values.size(); ++index) {
             const Parameter &parameter = fields[field].parameters[first + index];
             if (const auto fault = fault_of_number(parameter.kind, values[index])) {
-                error(field, found_message(quoted(decimal(values[index])), parameter.name, object, fault->expected),
+                error(field,
+                      found_message(fields[field].name, quoted(decimal(values[index])), parameter.name, object,
+                                    fault->expected),
                       fault->hint);
+                valid = false;
             }
         }
+        return valid;
     }
 
     void word(FieldIndex field, std::string_view value, std::string_view object) {
         const Parameter &parameter = fields[field].parameters[0];
         if (const auto fault = fault_of_text(parameter.kind, value)) {
-            error(field, found_message(shown_name(parameter.kind, value), parameter.name, object, fault->expected),
+            error(field,
+                  found_message(fields[field].name, shown_name(parameter.kind, value), parameter.name, object,
+                                fault->expected),
                   fault->hint);
         }
     }
@@ -1162,7 +1174,9 @@ class Checker {
         for (const auto &[value, parameter] :
              {std::pair(columns, &fields[RES].parameters[0]), std::pair(rows, &fields[RES].parameters[1])}) {
             if (const auto fault = fault_of_size(value, limits_)) {
-                error(RES, found_message(quoted(std::to_string(value)), parameter->name, "", fault->expected),
+                error(RES,
+                      found_message(fields[RES].name, quoted(std::to_string(value)), parameter->name, "",
+                                    fault->expected),
                       fault->hint);
                 valid = false;
             }
@@ -1172,8 +1186,10 @@ class Checker {
         }
     }
 
-    void order(FieldIndex low, double low_value, FieldIndex high, double high_value) {
-        if (low_value >= high_value) {
+    void edges(FieldIndex low, double low_value, FieldIndex high, double high_value) {
+        const bool low_valid = numbers(low, 0, {&low_value, 1}, "");
+        const bool high_valid = numbers(high, 0, {&high_value, 1}, "");
+        if (low_valid && high_valid && low_value >= high_value) {
             error(high, order_message(low, low_value, high, high_value), order_hint(low_value, high_value));
         }
     }
@@ -1232,8 +1248,8 @@ std::vector<Diagnostic> check_float32(const Scene &scene) {
                 const std::string_view expected = smallest > 0 ? "a magnitude from 1e-15 to 1e15 in float32"
                                                                : "a magnitude of at most 1e15 in float32";
                 report.add({0, 0, std::string(fields[field].name),
-                            found_message(quoted(decimal(values[index])), fields[field].parameters[first + index].name,
-                                          object, expected),
+                            found_message(fields[field].name, quoted(decimal(values[index])),
+                                          fields[field].parameters[first + index].name, object, expected),
                             "render it in float64"});
             }
         }

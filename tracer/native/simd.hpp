@@ -1,7 +1,7 @@
 // Packets of floating point numbers: the one place that knows vector widths. Included by kernel_*.cpp only.
 //
-// Everything here is in an unnamed namespace and always inlined, so that no function compiled for one instruction set can
-// be linked into another's path, and no vector crosses a call.
+// Everything here is in an unnamed namespace and always inlined, so that no function compiled for one instruction set
+// can be linked into another's path, and no vector crosses a call.
 #pragma once
 
 #include <cstdint>
@@ -173,7 +173,7 @@ struct Packet {
     friend WHITTED_INLINE Lanes operator>=(Packet a, Packet b) { return b <= a; }
     friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) { return (a <= b) & (b <= a); }
 
-private:
+  private:
     WHITTED_INLINE static Native broadcast(Real x) {
         if constexpr (Width == 1) {
             return x;
