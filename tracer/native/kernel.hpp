@@ -267,10 +267,7 @@ struct Kernel {
 
         if (planes.depth)
             select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf()))).store(planes.depth + at);
-        if (planes.position[0]) {
-            const P t = select(covered, hit.t, P(zero));
-            store3(planes.position, at, direction * t);
-        }
+        if (planes.position[0]) store3(planes.position, at, select3(covered, direction * hit.t, broadcast_zero()));
 
         Local primary{broadcast_zero(), broadcast_zero(), broadcast_zero()};
         Vec normal = broadcast_zero();

@@ -19,10 +19,12 @@
 #include <string_view>
 #include <vector>
 
+#include "number.hpp"
 #include "output.hpp"
 #include "ppm.hpp"
 #include "render.hpp"
 #include "scene.hpp"
+#include "text.hpp"
 
 namespace {
 

@@ -88,25 +88,10 @@ std::vector<Diagnostic> warnings(const Scene &scene);
 // Why a valid scene cannot be rendered in float32 (magnitudes outside 1e-15 .. 1e15); empty when it can.
 std::vector<Diagnostic> check_float32(const Scene &scene);
 
-// The canonical text: shortest decimals that read back to the same float64, LF line ends. A zero is written without
-// sign.
+// The canonical text: shortest decimals that read back to the same float64, LF line ends. A zero has no sign.
 std::string text(const Scene &scene);
-
-// The shortest decimal that reads back to the same float64; also "inf" and "nan".
-std::string decimal(double value);
 
 // "source:line:column: error: message", and on a line of its own "  hint: ..." where there is one.
 std::string describe(const Diagnostic &diagnostic, std::string_view source, std::string_view severity = "error");
-
-// The number of insertions, deletions, replacements and swaps of neighbours between two short words.
-std::size_t edit_distance(std::string_view a, std::string_view b);
-
-// A number in the syntax of scene files, read as the nearest float64. A zero has no sign.
-struct Number {
-    double value = 0;        // infinite on overflow
-    bool valid = false;      // false: not in that syntax, for example "1.5x", "0x1", "nan"
-    bool underflow = false;  // it is not 0, but the nearest float64 is
-};
-Number parse_number(std::string_view token);
 
 }  // namespace whitted
