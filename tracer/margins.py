@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.motion import Ellipsoid, Meeting, Pencil, Place, Root, Segment, norm, ratio, reflected, slant
+from tracer.motion import Ellipsoid, Meeting, Pencil, Place, Root, Segment, norm, place, ratio, reflected, slant
 from tracer.passes import MARGINS, Sample, names
 from tracer.reference import (
     Flags,
@@ -26,7 +26,6 @@ from tracer.reference import (
     bands,
     between,
     check,
-    dot,
     eye_rays,
     incidence,
     pick,
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
 # A renderer that keeps to the specification with unit roundoff u is off by at most VALUE_ROUNDINGS u sensitivity, where
 # every margin is above EDGE_ROUNDINGS u. docs/tolerances.md derives both.
-VALUE_ROUNDINGS = 12
+VALUE_ROUNDINGS = 16
 EDGE_ROUNDINGS = 32
 # Outlines hidden behind a hit do not count; this much of t is still in front.
 SLACK = 1e-5
@@ -71,8 +70,8 @@ class Motion:
 def moved(beam: Pencil | Ellipsoid, at: Place) -> Motion:
     """How far hit points, normals and views move."""
     speed = norm(at.direction)
-    point = beam.point(at.t, at.gradient, at.direction) + speed * at.along
-    return Motion(point, at.bend() * (point + at.centre) + at.rounding, beam.turn() / speed)
+    point = beam.point(at.t, at.gradient, at.direction)
+    return Motion(point + speed * at.along, at.bend() * point + at.tilt, beam.turn() / speed)
 
 
 def analyse(
@@ -151,8 +150,7 @@ class Band:
         for bounce, (rays, hits, at) in enumerate(trace(tables, self.rays, max_reflections)):
             self.first_hit(rays, hits.sphere, hits.t, beam, after=1 if bounce == 0 else 0)
             hit = np.flatnonzero(hits.sphere >= 0)
-            place = self.place(at, rays.direction[:, hit])
-            motion = moved(beam[hit], place)
+            motion = moved(beam[hit], self.place(at, rays.direction[:, hit]))
             pixel = at.x.pixel
             ambient, diffuse, specular, size = self.shading(at, motion, bounce)
             if bounce == 0:
@@ -205,16 +203,9 @@ class Band:
             self.lower("order", rays.pixel, margin, (sphere != j) & np.isfinite(gap))
 
     def place(self, at: Surface, direction: Real) -> Place:
-        """What a sphere itself adds to the errors of a hit."""
-        i, n = at.x.start, at.x.point
-        scaling, position = pick(self.tables.scaling, i), pick(self.position, i)
-        gradient = n / scaling
-        # The surface |y| = 1 at the hit y = n: its centre, its scalings, and the rounding of y = o + t d.
-        step = np.abs(n) + 2 * np.abs(at.t * direction / scaling)
-        along = (dot(np.abs(n), np.abs(position) / scaling + step) + 1) / np.abs(dot(gradient, direction))
-        # n is rounded, and unequal changes of the scalings tilt the normal.
-        rounding = 2 + 1 / (scaling.min(axis=0) * norm(gradient))
-        return Place(at.t, direction, at.normal, scaling, gradient, along, norm(position), rounding)
+        """What the spheres add to the errors of hits."""
+        scaling, position = pick(self.tables.scaling, at.x.start), pick(self.position, at.x.start)
+        return place(at.t, direction, at.normal, at.x.point, scaling, position)
 
     def shading(self, at: Surface, motion: Motion, bounce: int) -> tuple[Real, Real, Real, Real]:
         """The decisions behind each light, and how much the terms move; last, the size of all terms together."""

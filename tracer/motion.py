@@ -138,12 +138,34 @@ class Place:
     scaling: Real
     gradient: Real  # (x - p) / s^2
     along: Real  # how far the surface moves the hit along the ray, in lengths of its direction
-    centre: Real  # how far the centre moves
-    rounding: Real  # by what angle the normal moves besides
+    tilt: Real  # by what angle the surface turns the normal
 
     def bend(self) -> Real:
         """By what angle at most the normal turns for a step on the surface."""
         return curvature(self.scaling, self.gradient)
+
+
+def place(t: Real, direction: Real, normal: Real, n: Real, scaling: Real, position: Real) -> Place:
+    """What the surface |y| = 1 of a sphere adds to the errors of a hit at y = n."""
+    gradient = n / scaling
+    slope = dot(gradient, direction)
+    # Along the ray the hit moves with the centre, the scalings, and the rounding of y = o + t d.
+    step = np.abs(n) + 2 * np.abs(t * direction / scaling)
+    own = (dot(np.abs(n), step) + 1) / np.abs(slope)
+    along = own + dot(np.abs(n), np.abs(position) / scaling) / np.abs(slope)
+    # The normal turns by what of that goes along the surface, ...
+    stretched = direction / (scaling * scaling)
+    across = norm(stretched - dot(stretched, normal) * normal) / norm(gradient)
+    # ... by the hit's step over the surface, P dp, when the centre moves by dp, ...
+    slid = [
+        np.abs(position[k])
+        * root_of(1 + gradient[k] / slope * (dot(direction, direction) * gradient[k] / slope - 2 * direction[k]))
+        for k in range(3)
+    ]
+    # ... because n is rounded, and because unequal changes of the scalings tilt it.
+    rounding = 2 + 1 / (scaling.min(axis=0) * norm(gradient))
+    tilt = across * own + curvature(scaling, gradient) * (slid[0] + slid[1] + slid[2]) + rounding
+    return Place(t, direction, normal, scaling, gradient, along, tilt)
 
 
 def reflected(beam: Pencil | Ellipsoid, at: Place) -> Ellipsoid:
@@ -170,12 +192,11 @@ def reflected(beam: Pencil | Ellipsoid, at: Place) -> Ellipsoid:
     # most 3 times the sum of the squares.
     pushed = at.direction * at.along
     swung = (turn * pushed[None]).sum(axis=1)
-    tilt = at.bend() * at.centre + at.rounding
     rounded = one * (4 * dot(at.direction, at.direction))
     added = (
         3 * outer(pushed, pushed),
         3 * outer(pushed, swung),
-        3 * (outer(swung, swung) + product(swing, turned(swing)) * tilt**2 + rounded),
+        3 * (outer(swung, swung) + product(swing, turned(swing)) * at.tilt**2 + rounded),
     )
     # (a + b)^2 <= (1 + 1/p) a^2 + (1 + p) b^2 for any p; best where p = a / b.
     p = np.clip(root_of(trace_of(carried[2]) / trace_of(added[2])), 1e-6, 1e6)

@@ -359,7 +359,8 @@ def render(
 
         found = analyse(scene, sample=sample, shadow_epsilon=shadow_epsilon, max_reflections=max_reflections)
         images |= {f"margin.{kind}": found.margins[kind].astype(real) for kind in MARGINS}
-    return Passes({name: images[name] for name in passes})
+    settings = {"sample": sample, "shadow_epsilon": repr(shadow_epsilon), "max_reflections": str(max_reflections)}
+    return Passes({name: images[name] for name in passes}, {"renderer": f"numpy-{precision}"} | settings)
 
 
 def render_band(tables: Tables, rays: Rays, epsilon: float, max_reflections: int) -> dict[str, NDArray[Any]]:

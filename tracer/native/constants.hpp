@@ -15,7 +15,7 @@ struct SphereConstants {
     Real inverse_scale[3];          // 1 / |s|
     Real eye[3];                    // the eye in the sphere's unit space: -p / |s|
     Real eye_power;                 // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real tangent;                   // primary rays: |D| up to this counts as 0
+    Real eye_distance_squared;      // |eye|^2
     Real ambient[3];                // Ka Ia O
     Real color[3];                  // O
     Real reflection;                // Kr

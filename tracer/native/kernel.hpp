@@ -22,10 +22,12 @@ struct Kernel {
     static constexpr Real zero = 0;
     static constexpr Real one = 1;
     static constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
-    // Secondary rays: |D| up to this times max(1, |origin|) counts as 0, see docs/tolerances.md.
-    static constexpr Real tangent_factor = 64 * unit_roundoff;
-    // Beyond this the digits are lost anyway; without it the middle of a far, small sphere would count as its outline.
-    static constexpr Real widest_tangent = Real(0.5);
+    // The rounding bound of D, and a bound above it that is cheap: 64 u max(1, |origin|). docs/tolerances.md,
+    // section 2.
+    static constexpr Real tangent_roundings = 16 * unit_roundoff;
+    static constexpr Real touch_reach = 64 * unit_roundoff;
+    // Beyond this the digits of D are lost anyway; without it a far, small sphere would grow without end.
+    static constexpr Real widest_touch = Real(0.5);
 
     struct Vec {
         P x, y, z;
@@ -60,21 +62,31 @@ struct Kernel {
         Vec closest;   // the ray's point closest to the centre
     };
 
-    // c = |o|^2 - 1. tangent: how far D may be from 0 and count as 0, squared.
-    static WHITTED_INLINE Roots intersect(Vec o, P c, Vec d, P tangent_squared) {
+    // Rays whose D is below 0 by no more than its rounding bound, 16 u (1 + sum |l_k| (|o_k| + |h a_k|)): they touch.
+    static WHITTED_INLINE Lanes touching(P D, Vec o, Vec closest, Vec along) {
+        const P sum = absolute(closest.x) * (absolute(o.x) + absolute(along.x)) +
+                      absolute(closest.y) * (absolute(o.y) + absolute(along.y)) +
+                      absolute(closest.z) * (absolute(o.z) + absolute(along.z));
+        return -D <= P(tangent_roundings) * (P(one) + sum);
+    }
+
+    // c = |o|^2 - 1. reach_squared: the square of a bound above that of touching().
+    static WHITTED_INLINE Roots intersect(Vec o, P c, Vec d, P reach_squared) {
         const P a = dot(d, d);
         const P h = dot(o, d);
         const P inverse_a = P(one) / a;
-        const Vec closest = o - d * (h * inverse_a);
+        const Vec along = d * (h * inverse_a);
+        const Vec closest = o - along;
         const P D = P(one) - dot(closest, closest);
-        const Lanes is_tangent = D * D <= tangent_squared;
-        const P root = select(is_tangent, P(zero), sqrt(maximum(D, P(zero)) * a));
+        Lanes real = D > P(zero);
+        const Lanes near_zero = (!real) & (D * D <= reach_squared);
+        if (any(near_zero)) real = real | (near_zero & touching(D, o, closest, along));
+        const P root = sqrt(maximum(D, P(zero)) * a);
         const Lanes leaving = h > P(zero);
         const P q = select(leaving, -(h + root), root - h);
         const P first = q * inverse_a;
         const P second = c / q;
-        return {is_tangent | (D > P(zero)), select(leaving, first, second), select(leaving, second, first),
-                root * inverse_a, closest};
+        return {real, select(leaving, first, second), select(leaving, second, first), root * inverse_a, closest};
     }
 
     // The hit point of the near or the far root, from the point closest to the centre: exact for a tangent.
@@ -99,7 +111,7 @@ struct Kernel {
             const SphereConstants<Real> &sphere = scene.spheres[j];
             const Vec d = direction * broadcast(sphere.inverse_scale);
             const Roots roots =
-                intersect(broadcast(sphere.eye), P(sphere.eye_power), d, P(sphere.tangent * sphere.tangent));
+                intersect(broadcast(sphere.eye), P(sphere.eye_power), d, reach_squared(P(sphere.eye_distance_squared)));
             if (!any(roots.real)) continue;
             const Lanes far = !(roots.near_t > P(one));
             const P t = select(far, roots.far_t, roots.near_t);
@@ -123,9 +135,9 @@ struct Kernel {
         return (x.offset + difference(scene.spheres[x.sphere].center, other.center)) * broadcast(other.inverse_scale);
     }
 
-    static WHITTED_INLINE P secondary_tangent(P distance_squared) {
-        return minimum(P(tangent_factor * tangent_factor) * maximum(distance_squared, P(one)),
-                       P(widest_tangent * widest_tangent));
+    static WHITTED_INLINE P reach_squared(P distance_squared) {
+        return minimum(P(touch_reach * touch_reach) * maximum(distance_squared, P(one)),
+                       P(widest_touch * widest_touch));
     }
 
     // Reflected rays: on the sphere they start from only the other root, which the outside never meets.
@@ -144,7 +156,7 @@ struct Kernel {
             }
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
-            const Roots roots = intersect(o, distance_squared - P(one), d, secondary_tangent(distance_squared));
+            const Roots roots = intersect(o, distance_squared - P(one), d, reach_squared(distance_squared));
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
@@ -174,7 +186,7 @@ struct Kernel {
                     // The roots are 1 and, by their product c/a, the other one.
                     found = found | between(c / dot(d, d));
                 } else {
-                    const Roots roots = intersect(o, c, d, secondary_tangent(distance_squared));
+                    const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
                     found = found | (roots.real & (between(roots.near_t) | between(roots.far_t)));
                 }
             }

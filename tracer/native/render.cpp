@@ -72,11 +72,6 @@ const Kernels *choose(std::string &problem) {
 template <class Real>
 constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
 
-// Rounding bound of D for primary rays, in units of u max(1, |eye|): docs/tolerances.md derives it.
-constexpr double tangent_factor = 64;
-// Its largest value, see kernel.hpp.
-constexpr double widest_tangent = 0.5;
-
 template <class Real>
 void narrow(Real (&to)[3], const Vec3 &from) {
     for (int k = 0; k < 3; ++k) to[k] = static_cast<Real>(from[static_cast<std::size_t>(k)]);
@@ -226,9 +221,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 power += eye * eye;
             }
             to.eye_power = static_cast<Real>(power);
-            to.tangent =
-                static_cast<Real>(std::min(widest_tangent, tangent_factor * static_cast<double>(unit_roundoff<Real>) *
-                                                               std::max(1.0, std::sqrt(power + 1))));
+            to.eye_distance_squared = static_cast<Real>(power + 1);
             narrow(to.color, sphere.color);
             to.reflection = static_cast<Real>(sphere.kr);
             to.exponent = static_cast<Real>(sphere.exponent);

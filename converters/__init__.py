@@ -1,0 +1,1 @@
+"""Scenes of this project as scenes of other programs; nothing here traces a ray."""

@@ -1,0 +1,158 @@
+"""The one face of every renderer, and the registry that finds them through entry points."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import importlib.metadata
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from tracer import Scene
+    from tracer.margins import Analysis
+    from tracer.passes import Passes, Sample
+
+ENTRY_POINTS = "whitted.renderers"
+
+#: One number for the whole image, or one a pixel: an array of shape (rows, columns).
+PerPixel: TypeAlias = float | NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is rendered beyond the scene itself; every renderer of one comparison gets the same."""
+
+    sample: Sample = "corner"
+    shadow_epsilon: float = 1e-4
+    max_reflections: int = 3
+    threads: int = 0
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far a renderer may be off, derived from its precision and its documented epsilons.
+
+    `silhouette`, `range`, `order`, `terminator`: a decision of that kind whose margin is below this number may go
+    either way in this renderer (relative, as the margins are).
+    `unit`: multiplies `Analysis.sensitivity`, so that `unit * sensitivity` bounds the error of a value of an interior
+    pixel.
+    `absolute`: further absolute error by quantity of the table of passes ("color", "length", "position", "normal"),
+    each derived and documented in the renderer's module.
+    """
+
+    silhouette: PerPixel
+    range: PerPixel
+    order: PerPixel
+    terminator: PerPixel
+    unit: PerPixel
+    absolute: Mapping[str, PerPixel] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """A program that turns a Scene into Passes; nothing outside its module knows how."""
+
+    @property
+    def name(self) -> str:
+        """For example `native-f64`; `mitsuba-spec@llvm` for one variant of several."""
+
+    def version(self) -> str:
+        """The program's own version, one line."""
+
+    def versions(self) -> Mapping[str, str]:
+        """Everything that decides about its results, by name: goes into every result file."""
+
+    def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
+        """The passes that it can deliver for this scene; empty if it cannot carry the scene."""
+
+    def unavailable(self) -> str | None:
+        """None, or one sentence that says why it cannot run here, with the command that mends it."""
+
+    def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
+        """What it may be off by on this scene. `analysis` is there for those whose error depends on the pixel."""
+
+    def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        """Exactly the passes asked for."""
+
+    def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
+        """None: any size. Else a scene of more pixels takes too long, and validation draws it smaller and says so."""
+
+
+class UnknownRendererError(ValueError):
+    """A name that no renderer has; `hint` says what to type instead."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        """Look for the nearest of the known names."""
+        names = sorted({alias for entry in known for alias in (entry, entry.partition("@")[0])})
+        near = difflib.get_close_matches(name, names, n=1)
+        super().__init__(f"unknown renderer '{name}'")
+        self.hint = (f"did you mean '{near[0]}'? " if near else "") + f"known renderers: {', '.join(names)}"
+
+
+@dataclass(frozen=True)
+class Registry:
+    """The renderers that were found, by name, and why the others could not be loaded."""
+
+    renderers: Mapping[str, Renderer]
+    failures: Mapping[str, str]
+
+
+def _group() -> Sequence[importlib.metadata.EntryPoint]:
+    found = importlib.metadata.entry_points(group=ENTRY_POINTS)
+    # Our own come first, so that a third party cannot take one of their names.
+    return sorted(found, key=lambda point: not point.value.startswith("validation.renderers."))
+
+
+@functools.cache
+def registry() -> Registry:
+    """Load every entry point of the group once; one that fails is reported in `failures`, not raised."""
+    renderers: dict[str, Renderer] = {}
+    failures: dict[str, str] = {}
+    for point in _group():
+        try:
+            made: Sequence[Any] = list(point.load()())
+        except Exception as error:  # a third party's code: whatever it raises must not stop the others
+            failures[point.name] = f"{point.value}: {type(error).__name__}: {error}"
+            continue
+        for renderer in made:
+            if not isinstance(renderer, Renderer):
+                failures[point.name] = f"{point.value}: {renderer!r} lacks what a renderer has"
+            elif renderer.name in renderers:
+                failures[point.name] = f"{point.value}: the name '{renderer.name}' is taken"
+            else:
+                renderers[renderer.name] = renderer
+    return Registry(MappingProxyType(renderers), MappingProxyType(failures))
+
+
+def all() -> tuple[Renderer, ...]:
+    """Every renderer that could be loaded, whether it can run here or not."""
+    return tuple(registry().renderers.values())
+
+
+def available() -> tuple[Renderer, ...]:
+    """The renderers that can run here."""
+    return tuple(renderer for renderer in all() if renderer.unavailable() is None)
+
+
+def get(name: str) -> Renderer:
+    """The renderer of that name.
+
+    A name without `@` that has variants (`mitsuba-spec`) means the first variant that can run here, in the order its
+    entry point lists them: best first. When none can run, the first variant, whose `unavailable()` says why.
+
+    Raises:
+        UnknownRendererError: there is none.
+    """
+    renderers = registry().renderers
+    if name in renderers:
+        return renderers[name]
+    variants = [renderer for full, renderer in renderers.items() if full.partition("@")[0] == name]
+    if not variants:
+        raise UnknownRendererError(name, renderers)
+    return next((renderer for renderer in variants if renderer.unavailable() is None), variants[0])
