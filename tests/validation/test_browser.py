@@ -1,0 +1,131 @@
+"""Opens the report in a browser as a reader does: from a file, in light and in dark."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import doubles
+import pytest
+from conftest import need
+from doubles import Double, with_arrays
+
+from validation import validate
+from validation.report.report import Report
+
+pytestmark = pytest.mark.browser
+
+
+def dented(arrays: doubles.Arrays) -> None:
+    """Wrong in one pixel."""
+    arrays["beauty"][20, 30] = (0.9, 0.1, 2.5)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A report with failures, edges, and pictures that occur twice."""
+    page = Report()
+    scenes = {"full": doubles.full(), "cave": doubles.cave()}
+    result = validate(scenes, ["native-f32", Double(draw=with_arrays(dented))], "numpy-f64", on_rendered=page.add)
+    result.command = ["whitted", "validate", "full.txt"]
+    return page.write(tmp_path_factory.mktemp("report"), result).as_uri()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, from WHITTED_CHROMIUM or where distributions put it."""
+    found = os.environ.get("WHITTED_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    need(found and Path(found).exists(), "no Chromium: apt-get install chromium, or set WHITTED_CHROMIUM")
+    need(importlib.util.find_spec("playwright"), "no Playwright: pip install playwright")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(params=["light", "dark"])
+def page(request: pytest.FixtureRequest, browser: Any, address: str) -> Iterator[Any]:
+    """The report, opened; nothing may be asked of the network, nothing may end up on the console."""
+    opened = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme=request.param)
+    complaints: list[str] = []
+    opened.on("console", lambda message: complaints.append(message.text))
+    opened.on("pageerror", lambda error: complaints.append(str(error)))
+    opened.on("request", lambda asked: asked.url.startswith(("file:", "data:")) or complaints.append(asked.url))
+    opened.goto(address)
+    yield opened
+    opened.close()
+    assert complaints == []
+
+
+def test_every_picture_shows(page: Any) -> None:
+    page.evaluate("document.querySelectorAll('details').forEach(details => details.open = true)")
+    count = page.locator("img").count()
+    assert count > 60
+    # Lazy pictures are decoded when they come near the screen.
+    page.evaluate("document.querySelectorAll('img').forEach(image => image.loading = 'eager')")
+    page.wait_for_function("[...document.images].every(image => image.complete)")
+    assert page.evaluate("[...document.images].filter(image => image.naturalWidth > 0).length") == count
+
+
+def test_the_page_is_no_wider_than_the_window(page: Any) -> None:
+    page.evaluate("document.querySelectorAll('details').forEach(details => details.open = true)")
+    for width in (1280, 800, 400):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_a_link_of_the_summary_opens_its_pass(page: Any) -> None:
+    closed = page.locator("details.pass:not([open])").first
+    name = closed.get_attribute("id")
+    assert closed.evaluate("details => details.open") is False
+    page.locator(f'table.summary a[href="#{name}"]').click()
+    page.wait_for_function("name => document.getElementById(name).open", arg=name)
+
+
+def test_failures_are_open_and_marked(page: Any) -> None:
+    failed = page.locator("details.pass", has=page.locator(".chip.bad"))
+    assert failed.count() == 2
+    for index in range(2):
+        assert failed.nth(index).evaluate("details => details.open")
+        picture = failed.nth(index).locator(".frame").first.bounding_box()
+        mark = failed.nth(index).locator(".frame .mark").first.bounding_box()
+        columns, rows = (64, 48) if index == 0 else (32, 32)
+        assert abs(mark["x"] + mark["width"] / 2 - picture["x"] - 30.5 / columns * picture["width"]) < 1
+        assert abs(mark["y"] + mark["height"] / 2 - picture["y"] - 20.5 / rows * picture["height"]) < 1
+
+
+def test_text_has_contrast(page: Any) -> None:
+    # WCAG: 4.5 to 1 for text, of every colour of text on the ground it stands on.
+    poor = page.evaluate(
+        """() => {
+        const parse = text => text.match(/[\\d.]+/g).map(Number);
+        const light = ([r, g, b]) => {
+            const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+            const [x, y, z] = [r, g, b].map(v => linear(v / 255));
+            return 0.2126 * x + 0.7152 * y + 0.0722 * z;
+        };
+        const ground = element => {
+            for (let at = element; at; at = at.parentElement) {
+                const color = parse(getComputedStyle(at).backgroundColor);
+                if (color.length === 3 || color[3] > 0) return color;
+            }
+            return [255, 255, 255];
+        };
+        const poor = [];
+        const texts = "h1, h2, h3, p, a, td, th, dt, dd, code, summary, span, figcaption, li";
+        for (const element of document.querySelectorAll(texts)) {
+            if (!element.innerText || !element.innerText.trim()) continue;
+            const both = [parse(getComputedStyle(element).color), ground(element)];
+            const [a, b] = both.map(light).sort((x, y) => y - x);
+            if ((a + 0.05) / (b + 0.05) < 4.5) poor.push(element.tagName + "." + element.className);
+        }
+        return [...new Set(poor)];
+    }"""
+    )
+    assert poor == []

@@ -1,0 +1,495 @@
+"""Every command: what it prints, what it writes, its exit status, and the words of its errors."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import doubles
+import numpy as np
+import pytest
+from doubles import KEYS, Double, with_arrays
+
+from tracer.passes import Passes
+from validation import cli, renderers
+from validation.renderers import Registry
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command left."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Run `whitted` in this process."""
+
+    def runs(*arguments: str | Path) -> Result:
+        words = [str(argument) for argument in arguments]
+        monkeypatch.setattr(sys, "argv", ["whitted", *words])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            cli.main(words)
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        assert isinstance(exit_info.value.code, int)
+        return Result(exit_info.value.code, out, err)
+
+    return runs
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene file."""
+    path = tmp_path / "full.txt"
+    path.write_text(doubles.FULL)
+    return path
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Add renderers to those that there are."""
+
+    def register(*extra: Any, failures: dict[str, str] | None = None) -> None:
+        found = renderers.registry()
+        names = {**found.renderers, **{entry.name: entry for entry in extra}}
+        monkeypatch.setattr(renderers, "registry", lambda: Registry(names, failures or {}))
+
+    return register
+
+
+def one_pixel(arrays: doubles.Arrays) -> None:
+    arrays["beauty"][20, 30, 1] += 0.25
+
+
+def strict(text: str) -> Any:
+    """JSON without the tokens that JSON does not have."""
+
+    def refuse(token: str) -> None:
+        raise AssertionError(f"{token} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+NATIVE = ("--renderer", "native-f64", "--against", "numpy-f64")
+
+
+def test_validate_agrees(run: Any, scene: Path) -> None:
+    result = run("validate", scene, *NATIVE)
+    assert (result.status, result.err) == (0, "")
+    assert "native-f64 against numpy-f64" in result.out
+    assert "beauty" in result.out
+    assert "15 of 15 comparisons agree" in result.out
+
+
+def test_validate_differs(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(draw=with_arrays(one_pixel)))
+    result = run("validate", scene, "--renderer", "double", "--against", "numpy-f64")
+    assert result.status == 1
+    assert "DIFFER" in result.out
+    assert "beauty (double, numpy-f64): 1 of" in result.out
+    assert "worst pixel x 30, y 20 G" in result.out
+    assert "14 of 15 comparisons agree" in result.out
+
+
+def test_validate_writes_strict_json(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
+    def holes(arrays: doubles.Arrays) -> None:
+        arrays["depth"][3, 3] = np.nan
+        arrays["ambient"][20, 30] = np.inf
+
+    registered(Double(draw=with_arrays(holes)))
+    file = tmp_path / "results.json"
+    result = run("validate", scene, "--renderer", "double,native-f64", "--against", "numpy-f64", "--json", file)
+    assert result.status == 1
+    record = strict(file.read_text())
+    assert set(record) == {"ok", "command", "settings", "versions", "comparisons", "notes", "failures"}
+    assert record["ok"] is False
+    assert record["command"][:2] == ["whitted", "validate"]
+    assert record["settings"] == {"sample": "corner", "shadow_epsilon": 1e-4, "max_reflections": 3, "threads": 0}
+    assert {"whitted", "python", "compiler", "instruction set", "numpy", "double"} <= set(record["versions"])
+    assert len(record["comparisons"]) == 30
+    for comparison in record["comparisons"]:
+        assert set(comparison) >= KEYS
+        assert comparison["size"] == [64, 48]
+        assert ("reason" in comparison) is not comparison["ok"]
+    failed = {entry["pass"] for entry in record["comparisons"] if not entry["ok"]}
+    assert failed == {"depth", "ambient"}
+
+
+def test_validate_takes_folders(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "a" / "one.txt").write_text(doubles.CUT)
+    (tmp_path / "a" / "b" / "two.txt").write_text(doubles.CAVE)
+    (tmp_path / "a" / "README.md").write_text("no scene")
+    result = run("validate", tmp_path / "a", *NATIVE)
+    assert result.status == 0
+    assert "one.txt 48x48" in result.out
+    assert "two.txt 32x32" in result.out
+    assert "worst" in result.out, "several scenes have a row each"
+
+
+def test_validate_reports_the_errors_of_all_files(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(doubles.FULL.replace("NEAR 1", "NEAR -1").replace("SPHERE ball", "SPHRE ball"))
+    (tmp_path / "b.txt").write_text(doubles.FULL.replace("RES 64 48", "RES 64"))
+    result = run("validate", tmp_path, *NATIVE)
+    assert (result.status, result.out) == (2, "")
+    for expected in ("a.txt:1:", "a.txt:7:1: error:", "did you mean", "b.txt:6:"):
+        assert expected in result.err
+    assert result.err.count("error:") == 3
+
+
+def test_validate_settings_reach_both_renderers(run: Any, scene: Path, tmp_path: Path) -> None:
+    file = tmp_path / "r.json"
+    options = ("--sample", "center", "--shadow-epsilon", "0.001", "--max-reflections", "1", "--threads", "1")
+    result = run("validate", scene, *NATIVE, *options, "--size", "40x30", "--json", file)
+    assert result.status == 0
+    record = strict(file.read_text())
+    assert record["settings"] == {"sample": "center", "shadow_epsilon": 0.001, "max_reflections": 1, "threads": 1}
+    names = [comparison["pass"] for comparison in record["comparisons"]]
+    assert "reflection.1" in names
+    assert "reflection.2" not in names
+    assert {tuple(comparison["size"]) for comparison in record["comparisons"]} == {(40, 30)}
+
+
+def test_validate_limits(run: Any, tmp_path: Path) -> None:
+    light = "LIGHT right 6 4 -4 0.3 0.4 0.9\n"
+    crowded = tmp_path / "six.txt"
+    crowded.write_text(doubles.FULL.replace(light, light * 5))
+    refused = run("validate", crowded, *NATIVE)
+    assert refused.status == 2
+    assert "found 6 lights, expected at most 5" in refused.err
+    assert run("validate", crowded, *NATIVE, "--no-limits", "--passes", "beauty").status == 0
+
+
+def test_validate_passes(run: Any, scene: Path) -> None:
+    result = run("validate", scene, *NATIVE, "--passes", "id,shadow.L*")
+    assert result.status == 0
+    assert "3 of 3 comparisons agree" in result.out
+
+
+def test_validate_draws_smaller_what_takes_too_long(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
+    slow = Double(name="slow", limit=768)
+    registered(slow)
+    file = tmp_path / "r.json"
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "slow,numpy-f64", "--json", file)
+    assert result.status == 0
+    assert "drawn at 32x24 instead of 64x48: slow would take too long" in result.out
+    assert slow.rendered == [(32, 24)]
+    sizes = {(entry["reference"], tuple(entry["size"])) for entry in strict(file.read_text())["comparisons"]}
+    assert sizes == {("slow", (32, 24)), ("numpy-f64", (64, 48))}
+
+
+def test_validate_says_what_one_of_them_lacks(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(name="poor", missing=("specular", "direct")))
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "poor")
+    assert result.status == 0
+    assert "not compared, as one of them lacks them: specular, direct" in result.out
+    asked = run("validate", scene, "--renderer", "native-f64", "--against", "poor", "--passes", "beauty,specular")
+    assert asked.status == 1
+    assert "poor did not deliver the pass 'specular'" in asked.out
+
+
+def test_validate_a_scene_that_nobody_can_carry_is_no_success(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(name="picky", refuses=True))
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "picky")
+    assert result.status == 3
+    assert "picky: cannot carry this scene" in result.out
+
+
+def test_validate_a_renderer_that_fails(run: Any, scene: Path, registered: Any) -> None:
+    def broken(*_: Any) -> Passes:
+        raise MemoryError("no room")
+
+    registered(Double(name="broken", draw=broken))
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "broken,numpy-f64")
+    assert result.status == 3
+    assert "error: " in result.err
+    assert "broken: failed: MemoryError: no room" in result.err
+    assert "15 of 15 comparisons agree, 1 failure" in result.out
+
+
+def test_validate_a_renderer_that_is_not_there(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(name="absent", absent="it is not installed: apt-get install absent"))
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "absent")
+    assert result.status == 3
+    assert "apt-get install absent" in result.err
+
+
+def test_validate_writes_a_report_and_says_where(run: Any, scene: Path, tmp_path: Path) -> None:
+    result = run("validate", scene, *NATIVE, "--passes", "beauty", "--report", tmp_path / "deep" / "report")
+    assert result.status == 0
+    assert result.out.splitlines()[-1] == str(tmp_path / "deep" / "report" / "index.html")
+    assert "<!doctype html>" in (tmp_path / "deep" / "report" / "index.html").read_text().lower()
+    assert [entry.name for entry in (tmp_path / "deep" / "report").iterdir()] == ["index.html"], "nothing else is left"
+
+
+#: The command line (SCENE stands for a scene file), what its error says, and what its hint says.
+WRONG = {
+    "no command": ("bogus", "unknown command 'bogus'", "see `whitted --help`"),
+    "near command": ("validat", "unknown command 'validat'", "did you mean 'validate'?"),
+    "option": ("validate SCENE --repor x", "no such option '--repor'", "did you mean '--report'?"),
+    "no scene": ("validate", "missing argument 'SCENE_OR_FOLDER...'", "see `whitted validate --help`"),
+    "renderer": ("validate SCENE --renderer nativ-f64", "unknown renderer 'nativ-f64'", "did you mean 'native-f64'?"),
+    "against": ("validate SCENE --against numpy-f46", "unknown renderer 'numpy-f46'", "did you mean 'numpy-f64'?"),
+    "pass": ("validate SCENE --passes beuaty", "unknown pass 'beuaty'", "did you mean 'beauty'?"),
+    "margin": ("validate SCENE --passes margin.order", "'margin.order' is not compared", "table of passes"),
+    "empty name": ("validate SCENE --passes beauty,,id", "has an empty name", "see `whitted validate --help`"),
+    "size": ("validate SCENE --size 400", "'400' is not a size such as 400x300", "see `whitted"),
+    "zero size": ("validate SCENE --size 0x5", "'0x5' is not a size", "see `whitted"),
+    "sample": ("validate SCENE --sample middle", "'middle' is not one of", "see `whitted"),
+    "epsilon": ("validate SCENE --shadow-epsilon nan", "nan", "see `whitted"),
+    "epsilon of one": ("validate SCENE --shadow-epsilon 1", "1.0 is not a number from 0 to below 1", "see `whitted"),
+    "reflections": ("validate SCENE --max-reflections -1", "-1 is not in the range", "see `whitted"),
+    "no file": ("validate nowhere.txt", "nowhere.txt: error: no such file or folder", ""),
+    "json folder": ("validate SCENE --json no/where.json", "there is no folder no", "mkdir -p no"),
+    "render ending": ("render SCENE -o x.jpg", "unknown file ending '.jpg'", "expected .exr, .npz, .png or .ppm"),
+    "render folder": ("render SCENE -o no/x.png", "there is no folder no", "mkdir -p no"),
+    "render scene": ("render nowhere.txt -o x.png", "nowhere.txt: error: no such file or folder", ""),
+    "render pass": ("render SCENE -o x.npz --passes dephth", "unknown pass 'dephth'", "did you mean 'depth'?"),
+    "render light": ("render SCENE -o x.npz --passes shadow.L7", "unknown pass 'shadow.L7'", "did you mean 'shadow.L"),
+    "render no beauty": ("render SCENE -o x.png --passes depth", "would hold the pass 'beauty'", "write .exr or .npz"),
+    "render no renderer": (
+        "render SCENE -o x.npz --renderer numpy",
+        "unknown renderer 'numpy'",
+        "did you mean 'numpy-f",
+    ),
+    "render no output": ("render SCENE", "missing option '-o' / '--output'", "see `whitted render --help`"),
+    "convert target": ("convert SCENE --to blender -o x", "'blender' is not", "see `whitted convert --help`"),
+    "compare no file": ("compare a.npz b.npz", "a.npz: no such file", ""),
+    "compare ending": ("compare SCENE SCENE", "unknown file ending '.txt'", "expected .exr, .npz, .png or .ppm"),
+    "tolerance": ("compare a.npz b.npz --tolerance -1", "-1.0 is not a finite number from 0 on", "see `whitted"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_in_one_sentence_with_a_hint(
+    case: str, run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words, message, hint = WRONG[case]
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    result = run(*[scene if word == "SCENE" else word for word in words.split()])
+    assert (result.status, result.out) == (2, "")
+    lines = result.err.rstrip("\n").split("\n")
+    assert message in lines[0]
+    assert "error: " in lines[0]
+    assert len(lines) == (2 if hint else 1)
+    if hint:
+        assert lines[1].startswith("  hint: ")
+        assert hint in lines[1]
+    assert sorted(tmp_path.rglob("*")) == before, "nothing is written"
+
+
+def test_renderers_lists_them(run: Any, registered: Any) -> None:
+    registered(Double(name="absent", absent="run: pip install absent"), failures={"third": "party: ImportError: gone"})
+    result = run("renderers")
+    assert result.status == 0
+    lines = {line.split()[0]: line for line in result.out.splitlines()}
+    for name in ("native-f64", "native-f32", "numpy-f64", "numpy-f32"):
+        assert " yes " in lines[name]
+        assert "shadow.L*, reflection, reflection.*" in lines[name]
+    assert "no" in lines["absent"].split()
+    assert "pip install absent" in lines["absent"]
+    assert "entry point 'third' could not be loaded: party: ImportError: gone" in result.err
+
+
+def test_renderers_as_json(run: Any, registered: Any) -> None:
+    registered(Double(name="absent", absent="run: pip install absent"))
+    record = strict(run("renderers", "--json").out)
+    entries = {entry["name"]: entry for entry in record["renderers"]}
+    assert entries["native-f64"]["available"] is True
+    assert "reflection.*" in entries["native-f64"]["passes"]
+    assert entries["absent"] == {
+        "name": "absent",
+        "available": False,
+        "reason": "run: pip install absent",
+        "version": None,
+        "passes": [],
+    }
+
+
+def test_render_and_compare(run: Any, scene: Path, tmp_path: Path) -> None:
+    a, b, c = tmp_path / "a.npz", tmp_path / "b.npz", tmp_path / "c.exr"
+    assert run("render", scene, "-o", a) == Result(0, "", "")
+    assert run("render", scene, "-o", b, "--threads", "1") == Result(0, "", "")
+    assert run("render", scene, "-o", c, "--renderer", "native-f32") == Result(0, "", "")
+    stored = Passes.load(a)
+    assert len(stored) == 15
+    assert stored.metadata["renderer"] == "native-f64"
+    assert stored.metadata["command"].startswith("whitted render ")
+
+    equal = run("compare", a, b)
+    assert (equal.status, equal.err) == (0, "")
+    assert equal.out.count("equal") == 15
+    different = run("compare", a, c, "--json", tmp_path / "d.json")
+    assert different.status == 1
+    assert "DIFFERENT" in different.out
+    assert "worst pixel x" in different.out
+    record = strict((tmp_path / "d.json").read_text())
+    assert record["ok"] is False
+    assert len(record["comparisons"]) == 15
+    loose = run("compare", a, c, "--passes", "beauty,ambient", "--tolerance", "1e-3")
+    assert loose.status == 0
+    assert "equal within the tolerance" in loose.out
+
+
+def test_compare_says_what_only_one_has(run: Any, scene: Path, tmp_path: Path) -> None:
+    a, b = tmp_path / "a.npz", tmp_path / "b.npz"
+    run("render", scene, "-o", a, "--passes", "beauty,depth")
+    run("render", scene, "-o", b, "--passes", "beauty,id")
+    result = run("compare", a, b)
+    assert result.status == 0
+    assert "only in one of the two, not compared: depth, id" in result.out
+    missing = run("compare", a, b, "--passes", "depth")
+    assert missing.status == 2
+    assert f"{b} has no pass 'depth'" in missing.err
+    Passes({"id": Passes.load(b)["id"]}).save(b)
+    assert run("compare", a, b).status == 2
+
+
+def test_compare_images(run: Any, scene: Path, tmp_path: Path) -> None:
+    a, b, c = tmp_path / "a.png", tmp_path / "b.ppm", tmp_path / "c.png"
+    run("render", scene, "-o", a)
+    run("render", scene, "-o", b, "--renderer", "numpy-f64")
+    run("render", scene, "-o", c, "--sample", "center")
+    assert run("compare", a, b).status == 0
+    result = run("compare", a, c)
+    assert result.status == 1
+    assert "beauty" in result.out
+    mixed = tmp_path / "a.npz"
+    run("render", scene, "-o", mixed)
+    assert "the other is an 8-bit image" in run("compare", a, mixed).err
+
+
+def test_compare_different_sizes(run: Any, scene: Path, tmp_path: Path) -> None:
+    a, b = tmp_path / "a.npz", tmp_path / "b.npz"
+    run("render", scene, "-o", a, "--passes", "depth")
+    run("render", scene, "-o", b, "--passes", "depth", "--size", "8x6")
+    result = run("compare", a, b)
+    assert result.status == 1
+    assert "delivered 8x6 pixels, expected 64x48" in result.out
+
+
+@pytest.mark.parametrize("ending", [".npz", ".exr", ".png", ".ppm"])
+def test_compare_a_file_that_is_none(run: Any, tmp_path: Path, ending: str) -> None:
+    bad = tmp_path / f"bad{ending}"
+    bad.write_bytes(b"not this")
+    result = run("compare", bad, bad)
+    assert result.status == 2
+    assert str(bad) in result.err
+    assert len(result.err.splitlines()) == 1
+
+
+@pytest.mark.mitsuba
+def test_convert(run: Any, scene: Path, tmp_path: Path, need: Any) -> None:
+    need(importlib.util.find_spec("mitsuba"), "no Mitsuba: pip install mitsuba")
+    xml = tmp_path / "out.xml"
+    assert run("convert", scene, "--to", "mitsuba", "-o", xml) == Result(0, "", "")
+    assert "<scene" in xml.read_text()
+    xml.unlink()
+    refused = run("convert", scene, "--to", "mitsuba", "-o", xml, "--stock-only")
+    assert refused.status == 2
+    assert "stock Mitsuba cannot say this scene" in refused.err
+    assert "hint: without --stock-only" in refused.err
+    no_light = run("convert", scene, "--to", "mitsuba", "-o", xml, "--light", "2")
+    assert (no_light.status, "has no light 2" in no_light.err) == (2, True)
+    assert not xml.exists()
+
+
+def test_a_scene_with_a_duplicate_warns_on_stderr(run: Any, tmp_path: Path) -> None:
+    ball = "SPHERE shell 0.1 0.2 -3 1.5 1.5 1.5 0.9 0.7 0.2 0.3 0.7 0.2 0 5\n"
+    twice = tmp_path / "twice.txt"
+    twice.write_text(doubles.CUT.replace(ball, ball * 2))
+    result = run("validate", twice, *NATIVE)
+    assert result.status == 0
+    assert "warning" in result.err
+    assert "Warning" not in result.err, "in words, not as Python prints it"
+
+
+def whitted(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own."""
+    code = "from validation.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False, timeout=60, **options
+    )
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom validation.cli import main\n"
+        "try:\n    main({arguments})\nfinally:\n    print('LOADED', *sys.modules, file=sys.stderr)"
+    )
+    for arguments in (["--help"], ["--version"], ["validate", "--help"]):
+        done = subprocess.run(
+            [sys.executable, "-c", code.format(arguments=arguments)],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+        )
+        loaded = set(done.stderr.partition("LOADED")[2].split())
+        assert "click" in loaded
+        heavy = {"numpy", "rich", "jinja2", "matplotlib", "PIL", "colour", "scipy", "mitsuba", "tracer", "OpenEXR"}
+        assert not heavy & loaded
+
+
+def test_help_names_every_command() -> None:
+    done = whitted("--help")
+    assert done.returncode == 0
+    for command in ("validate", "renderers", "render", "convert", "compare"):
+        assert f"  {command} " in done.stdout
+
+
+def test_version() -> None:
+    assert whitted("--version").stdout == f"whitted {importlib.metadata.version('whitted')}\n"
+
+
+@pytest.fixture
+def endless(tmp_path: Path) -> Path:
+    """A scene that takes minutes to draw and to compare."""
+    path = tmp_path / "endless.txt"
+    path.write_text(doubles.FULL.replace("RES 64 48", "RES 4000 3000"))
+    return path
+
+
+def test_interrupted_it_ends_with_130_and_no_traceback(endless: Path, tmp_path: Path) -> None:
+    code = "import sys; from validation.cli import main; print('started', flush=True); main()"
+    words = ["validate", str(endless), "--renderer", "numpy-f64", "--against", "numpy-f32", "--no-limits"]
+    words += ["--json", str(tmp_path / "r.json")]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        time.sleep(2)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.strip() == "interrupted"
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_a_closed_pipe_is_no_error(scene: Path) -> None:
+    code = "from validation.cli import main; main()"
+    words = f"{sys.executable} -c '{code}' validate {scene} --renderer native-f64 --against numpy-f64 | true"
+    done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stderr == ""
+
+
+def test_colours_are_for_terminals(scene: Path) -> None:
+    done = whitted("validate", str(scene), *NATIVE, env={**os.environ, "TERM": "xterm-256color"})
+    assert "\x1b" not in done.stdout + done.stderr

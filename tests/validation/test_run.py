@@ -1,0 +1,151 @@
+"""What `validate` does around the comparisons: files, sizes, what is drawn, and the status at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import doubles
+import pytest
+from doubles import Double
+
+import validation
+from tracer.passes import Passes
+from validation import Settings, validate
+from validation.run import Note, SceneFilesError, load_scenes, resized, scene_files, shrink
+
+
+def test_scene_files_are_sorted_and_named_once(tmp_path: Path) -> None:
+    for name in ("b.txt", "a.txt", "deep/c.txt", "deep/notes.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+    found = scene_files([tmp_path, tmp_path / "a.txt", tmp_path / "deep" / "notes.md"])
+    assert [path.name for path in found] == ["a.txt", "b.txt", "c.txt", "notes.md"]
+
+
+def test_paths_that_are_wrong_are_named_together(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SceneFilesError) as error:
+        scene_files([tmp_path / "empty", tmp_path / "nowhere"])
+    assert len(error.value.messages) == 2
+    assert "no scene in this folder" in error.value.messages[0]
+    assert "no such file or folder" in error.value.messages[1]
+
+
+def test_files_that_cannot_be_read_are_named_together(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("NEAR x")
+    (tmp_path / "b.txt").write_bytes(b"\xff\x00")
+    with pytest.raises(SceneFilesError) as error:
+        load_scenes([tmp_path])
+    assert len(error.value.messages) == 2
+
+
+@pytest.mark.parametrize("size", [(400, 400), (1600, 900), (1, 10_000), (10_000, 1), (3, 2), (640, 160)])
+@pytest.mark.parametrize("pixels", [1, 2, 50, 1000, 10**6])
+def test_shrink_keeps_the_aspect_and_the_limit(size: tuple[int, int], pixels: int) -> None:
+    columns, rows = shrink(*size, pixels)
+    assert 1 <= columns <= size[0]
+    assert 1 <= rows <= size[1]
+    assert columns * rows <= max(pixels, 1)
+    if size[0] * size[1] <= pixels:
+        assert (columns, rows) == size
+    elif min(columns, rows) > 1:
+        # Each side is rounded down by less than one.
+        exact = (size[0] / size[1] * pixels) ** 0.5, (size[1] / size[0] * pixels) ** 0.5
+        assert exact[0] - 1 < columns <= exact[0] + 1e-9
+        assert exact[1] - 1 < rows <= exact[1] + 1e-9
+
+
+def test_resized_changes_nothing_else() -> None:
+    scene = doubles.full()
+    assert resized(scene, (64, 48)) is scene
+    small = resized(scene, (8, 6))
+    assert (small.view.columns, small.view.rows) == (8, 6)
+    assert resized(small, (64, 48)) == scene
+
+
+def test_each_renderer_draws_a_scene_once() -> None:
+    tested, first, second = Double(name="tested"), Double(name="first"), Double(name="second", missing=("depth",))
+    result = validate({"full": doubles.full()}, tested, [first, second])
+    assert (len(tested.rendered), len(first.rendered), len(second.rendered)) == (1, 1, 1)
+    assert result.ok
+    assert len(result.comparisons) == 15 + 14
+    assert [note.message for note in result.notes] == ["not compared, as one of them lacks them: depth"]
+
+
+def test_a_renderer_is_not_compared_with_itself() -> None:
+    double = Double()
+    result = validate({"full": doubles.full()}, [double, "native-f64"], [double, "native-f64"], passes=["beauty"])
+    pairs = [(comparison.renderer, comparison.reference) for comparison in result.comparisons]
+    assert pairs == [("double", "native-f64"), ("native-f64", "double")]
+    assert validate({"full": doubles.full()}, double, double).status == 3, "nothing compared is no success"
+
+
+def test_no_scene_is_no_success() -> None:
+    assert validate({}, "native-f64", "numpy-f64").status == 3
+
+
+def test_statuses() -> None:
+    def black(scene: Any, passes: Any, settings: Settings) -> Passes:
+        drawn = doubles.faithful(scene, passes, settings)
+        return Passes({name: array * 0 if name == "beauty" else array for name, array in drawn.items()})
+
+    good = validate({"full": doubles.full()}, "native-f64", "numpy-f64")
+    assert (good.status, good.ok) == (0, True)
+    bad = validate({"full": doubles.full()}, Double(draw=black), "numpy-f64")
+    assert (bad.status, bad.ok) == (1, False)
+    bad.failures.append(Note("", "somebody", "failed"))
+    assert bad.status == 3, "a failure outweighs a difference"
+
+
+def test_a_pass_that_was_promised_and_is_not_there_is_a_failure() -> None:
+    def forgetful(scene: Any, passes: Any, settings: Settings) -> Passes:
+        return doubles.faithful(scene, [name for name in passes if name != "normal"], settings)
+
+    result = validate({"full": doubles.full()}, Double(draw=forgetful), "native-f64")
+    (failed,) = [comparison for comparison in result.comparisons if not comparison.ok]
+    assert failed.pass_name == "normal"
+    assert failed.reasons == ("double did not deliver the pass 'normal'",)
+
+
+def test_a_picture_of_another_size_is_a_failure() -> None:
+    def small(scene: Any, passes: Any, settings: Settings) -> Passes:
+        return doubles.faithful(resized(scene, (64, 47)), passes, settings)
+
+    result = validate({"full": doubles.full()}, Double(draw=small), "native-f64")
+    assert result.status == 1
+    assert all("delivered 64x47 pixels, expected 64x48" in comparison.reasons[0] for comparison in result.comparisons)
+
+
+def test_pass_names_are_checked_first() -> None:
+    double = Double()
+    with pytest.raises(ValueError, match="did you mean 'depth'"):
+        validate({"full": doubles.full()}, double, "native-f64", passes=["dept"])
+    with pytest.raises(ValueError, match="not compared"):
+        validate({"full": doubles.full()}, double, "native-f64", passes=["margin.*"])
+    assert double.rendered == []
+
+
+def test_a_light_that_a_scene_lacks_is_noted() -> None:
+    result = validate({"full": doubles.full()}, "native-f64", "numpy-f64", passes=["shadow.L9"])
+    assert result.status == 3
+    assert "none of the passes asked for" in result.notes[0].message
+
+
+def test_versions_of_two_variants_do_not_hide_each_other() -> None:
+    class Other(Double):
+        def versions(self) -> dict[str, str]:
+            return {"double": "2"}
+
+    result = validate({"full": doubles.full()}, Double(), Other(name="other"), passes=["beauty"])
+    assert result.versions["double"] == "1"
+    assert result.versions["other: double"] == "2"
+
+
+def test_the_face_of_the_package() -> None:
+    assert validation.validate is validate
+    assert set(validation.__all__) >= {"Comparison", "Settings", "compare_passes", "validate"}
+    for name in validation.__all__:
+        assert getattr(validation, name) is not None
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = validation.nothing

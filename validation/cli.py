@@ -1,0 +1,696 @@
+"""The command `whitted`: validate, render, convert, compare, renderers."""
+
+# Everything but click is imported where it is used: `whitted --help` answers at once.
+from __future__ import annotations
+
+import difflib
+import importlib.metadata
+import json
+import os
+import re
+import shlex
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from tracer import Scene
+    from tracer.passes import Passes
+    from validation.compare import Comparison
+    from validation.renderers import Renderer, Settings
+    from validation.run import Validation
+
+#: The smallest scene that needs every pass: what a renderer delivers for it is what it can deliver.
+EXAMPLE = """NEAR 1\nLEFT -1\nRIGHT 1\nBOTTOM -1\nTOP 1\nRES 1 1\nSPHERE s 0 0 -5 1 1 1 1 1 1 1 1 1 1 1
+LIGHT l 5 5 0 1 1 1\nBACK 0 0 0\nAMBIENT 1 1 1\nOUTPUT image.ppm\n"""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
+DIFFERENT, WRONG, FAILED, INTERRUPTED = 1, 2, 3, 130
+
+
+class CommandError(click.ClickException):
+    """One sentence of what is wrong, and what to do."""
+
+    def __init__(self, message: str, hint: str = "", status: int = WRONG) -> None:
+        """`message` may be several complete diagnostics; then there is no `hint`."""
+        super().__init__(message)
+        self.hint = hint
+        self.status = status
+
+
+class Commands(click.Group):
+    """A group that knows what a mistyped command was meant to be."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command, or say which one is near."""
+        if args and self.get_command(ctx, args[0]) is None:
+            near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "see `whitted --help`"
+            raise CommandError(f"unknown command '{args[0]}'", hint)
+        return super().resolve_command(ctx, args)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line; every error is a sentence and a hint on stderr, never a traceback."""
+    try:
+        status = whitted.main(args=arguments, prog_name="whitted", standalone_mode=False)
+        sys.stdout.flush()
+    except CommandError as error:
+        status = error.status
+        text = error.message
+        # Diagnostics of scene files say `error:` after the place.
+        _complain(text if ": error: " in text else f"error: {text}", error.hint)
+    except click.ClickException as error:
+        status = WRONG
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context else "whitted"
+        message, hint = error.format_message().rstrip("."), f"see `{path} --help`"
+        if isinstance(error, click.NoSuchOption):
+            message = f"no such option '{error.option_name}'"
+            if near := difflib.get_close_matches(error.option_name, error.possibilities or (), n=1):
+                hint = f"did you mean '{near[0]}'?"
+        _complain(f"error: {message[:1].lower()}{message[1:]}", hint)
+    except (click.Abort, KeyboardInterrupt):
+        status = INTERRUPTED
+        _complain("interrupted", "")
+    except BrokenPipeError:
+        # The reader of our output has gone; Python must not complain about it again when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 128 + 13
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complain(message: str, hint: str) -> None:
+    click.echo(message + (f"\n  hint: {hint}" if hint else ""), err=True)
+
+
+class Names(click.ParamType[tuple[str, ...]]):
+    """A list of names with commas between them."""
+
+    name = "NAME[,NAME...]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Split at the commas."""
+        if isinstance(value, tuple):
+            return value
+        parts = tuple(part.strip() for part in value.split(","))
+        if not all(parts):
+            self.fail(f"'{value}' has an empty name", param, ctx)
+        return parts
+
+
+class Size(click.ParamType[tuple[int, int]]):
+    """COLUMNSxROWS."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Two positive integers."""
+        if isinstance(value, tuple):
+            return value
+        found = re.fullmatch(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", value)
+        if not found:
+            self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    if not 0 <= value < float("inf"):
+        raise click.BadParameter(f"{value} is not a finite number from 0 on", param=parameter)
+    return value
+
+
+def _epsilon(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    if not 0 <= value < 1:
+        raise click.BadParameter(f"{value} is not a number from 0 to below 1", param=parameter)
+    return value
+
+
+def settings_options(function: Function) -> Function:
+    """The options that `raytrace` has too."""
+    for option in reversed(
+        (
+            click.option(
+                "--sample",
+                type=click.Choice(["corner", "center", "bottom-left", "inclusive"]),
+                default="corner",
+                show_default=True,
+                help="Where in its pixel a ray goes through.",
+            ),
+            click.option(
+                "--shadow-epsilon",
+                type=float,
+                default=1e-4,
+                show_default=True,
+                callback=_epsilon,
+                metavar="E",
+                help="Blockers with t <= E cast no shadow.",
+            ),
+            click.option(
+                "--max-reflections",
+                type=click.IntRange(0, 100),
+                default=3,
+                show_default=True,
+                metavar="N",
+                help="Reflected rays in a chain.",
+            ),
+            click.option(
+                "--threads", type=click.IntRange(0), default=0, metavar="N", help="Threads; 0, the default: all."
+            ),
+            click.option(
+                "--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images."
+            ),
+        )
+    ):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """What is wrong with the input, as an error of the command; warnings go to stderr in the same style."""
+    from validation.renderers import UnknownRendererError
+    from validation.run import SceneFilesError
+
+    def show(message: Warning | str, category: type[Warning], *_: object) -> None:
+        del category
+        click.echo(f"warning: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        warnings.showwarning = show  # type: ignore[assignment]
+        try:
+            yield
+        except SceneFilesError as error:
+            raise CommandError(str(error)) from error
+        except UnknownRendererError as error:
+            raise CommandError(str(error), error.hint) from error
+        except OSError as error:
+            place = f"{error.filename}: " if error.filename else ""
+            raise CommandError(f"{place}{error.strerror or error}") from error
+
+
+def _settings(options: Mapping[str, Any]) -> Settings:
+    from validation.renderers import Settings
+
+    return Settings(options["sample"], options["shadow_epsilon"], options["max_reflections"], options["threads"])
+
+
+def _load(path: Path, *, no_limits: bool) -> Scene:
+    from validation.run import SceneFilesError, load_scenes
+
+    if path.is_dir():
+        raise SceneFilesError([f"{path}: error: this is a folder, expected a scene file"])
+    return load_scenes([path], limits=not no_limits)[str(path)]
+
+
+def _pass_names(asked: Sequence[str]) -> None:
+    from validation.run import check_passes
+
+    try:
+        check_passes(asked)
+    except ValueError as error:
+        message, _, near = str(error).partition(" (did you mean ")
+        hint = f"did you mean {near.rstrip(')')}" if near else "see the table of passes in docs/specification.md"
+        raise CommandError(message, hint) from error
+
+
+def _usable(name: str) -> Renderer:
+    from validation import renderers
+
+    renderer = renderers.get(name)
+    if reason := renderer.unavailable():
+        raise CommandError(f"{renderer.name} cannot run here: {reason}", "see `whitted renderers`", FAILED)
+    return renderer
+
+
+def _parent(path: Path) -> None:
+    """An output that cannot be written is said before the work, not after it."""
+    if path.is_dir():
+        raise CommandError(f"{path} is a folder, expected the name of a file")
+    if not path.parent.is_dir():
+        raise CommandError(f"{path}: there is no folder {path.parent}", f"mkdir -p {shlex.quote(str(path.parent))}")
+
+
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    # A file or a pipe has no width of its own; 80 would break names.
+    wide = None if (sys.stderr if stderr else sys.stdout).isatty() else 160
+    return Console(stderr=stderr, highlight=False, width=wide)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(importlib.metadata.version("whitted"), message="%(prog)s %(version)s")
+def whitted() -> None:
+    """Draw a scene with several renderers, compare them pass by pass, and say where and why they differ."""
+
+
+@whitted.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
+@click.option("--renderer", type=Names(), default="native-f64", show_default=True, help="What is under test.")
+@click.option("--against", type=Names(), default="mitsuba-spec", show_default=True, help="What it is compared with.")
+@click.option("--passes", type=Names(), help="Passes to compare, for example beauty,shadow.L*; default: all.")
+@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@settings_options
+@click.option("--report", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write DIR/index.html.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.option("-v", "--verbose", is_flag=True, help="A row for every pass, not for failing ones alone.")
+@click.pass_context
+def validate(
+    ctx: click.Context,
+    /,
+    scenes: tuple[Path, ...],
+    renderer: tuple[str, ...],
+    against: tuple[str, ...],
+    passes: tuple[str, ...] | None,
+    size: tuple[int, int] | None,
+    report: Path | None,
+    json_file: Path | None,
+    verbose: bool,
+    **options: Any,
+) -> None:
+    """Compare renderers on scene files and on all scenes (*.txt) below folders.
+
+    Exit status: 0 all agree, 1 some differ, 2 the input or the command is wrong, 3 a renderer failed.
+    """
+    from validation import renderers
+    from validation.run import load_scenes
+    from validation.run import validate as run
+
+    command = _command()
+    with _errors():
+        _pass_names(passes or ())
+        for name in (*renderer, *against):
+            renderers.get(name)
+        loaded = load_scenes(scenes, limits=not options["no_limits"])
+        if json_file:
+            _parent(json_file)
+        page = None
+        if report:
+            from validation.report.report import Report
+
+            report.mkdir(parents=True, exist_ok=True)
+            page = Report()
+        with _progress() as progress:
+            result = run(
+                loaded,
+                renderer,
+                against,
+                passes=passes,
+                size=size,
+                settings=_settings(options),
+                on_rendered=page.add if page else None,
+                progress=progress,
+            )
+        result.command = command
+        _print_validation(result, verbose=verbose or len(loaded) == 1)
+        if json_file:
+            _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+        if page and report:
+            click.echo(page.write(report, result))
+    ctx.exit(result.status)
+
+
+def _command() -> list[str]:
+    """The command as typed, without the folder of the program."""
+    return ["whitted", *sys.argv[1:]]
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what is being drawn."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    with _console(stderr=True).status("") as status:
+        yield status.update
+
+
+def _write_text(path: Path, text: str) -> None:
+    from tracer.passes import write_beside
+
+    with write_beside(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _colorful() -> bool:
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+
+
+def _verdict(ok: bool) -> Text:
+    from rich.text import Text
+
+    return Text("agree", style="green") if ok else Text("DIFFER", style="bold red")
+
+
+def number(value: float | None) -> str:
+    """A measured number as people read it."""
+    return "-" if value is None else "0" if value == 0 else f"{value:.2g}"
+
+
+def _print_validation(result: Validation, *, verbose: bool) -> None:
+    console = _console()
+    pairs: dict[tuple[str, str], dict[str, list[Comparison]]] = {}
+    for comparison in result.comparisons:
+        scenes = pairs.setdefault((comparison.renderer, comparison.reference), {})
+        scenes.setdefault(comparison.scene, []).append(comparison)
+    for (renderer, reference), scenes in pairs.items():
+        console.print(f"{renderer} against {reference}", style="bold", markup=False)
+        console.print(_table(scenes, verbose=verbose))
+        console.print()
+    for comparison in result.comparisons:
+        if not comparison.ok:
+            where = f"{comparison.scene}: {comparison.pass_name} ({comparison.renderer}, {comparison.reference})"
+            click.secho(f"{where}: {'; '.join(comparison.reasons)}{_worst(comparison)}", fg="red", color=_colorful())
+    for note in result.notes:
+        click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
+    if result.comparisons:
+        click.echo("interior, edge: pixels over tolerance / all; only interior ones have to agree")
+    for failure in result.failures:
+        click.echo(f"error: {': '.join(filter(None, vars(failure).values()))}", err=True)
+    agree = sum(comparison.ok for comparison in result.comparisons)
+    click.echo(
+        f"{agree} of {len(result.comparisons)} comparisons agree"
+        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+    )
+
+
+def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool) -> Table:
+    """A row a scene that agrees, a row for every pass that does not; `verbose`: a row for every pass.
+
+    `interior` and `edge` count pixels over tolerance of all such pixels.
+    """
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("scene", overflow="fold", min_width=16)
+    table.add_column("pass", overflow="fold", min_width=10)
+    for header in ("max error", "/tolerance", "interior", "edge"):
+        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("result", no_wrap=True)
+    for scene, group in scenes.items():
+        rows = [(entry.pass_name, entry) for entry in group if verbose or not entry.ok]
+        if not rows:
+            nearest = max(group, key=lambda entry: entry.ratio or 0)
+            rows = [(f"all {len(group)}, worst {nearest.pass_name}", nearest)]
+        for place, (label, entry) in enumerate(rows):
+            table.add_row(
+                f"{scene} {entry.size[0]}x{entry.size[1]}" if place == 0 else "",
+                label,
+                number(entry.max),
+                number(entry.ratio),
+                f"{entry.interior_over}/{entry.interior}",
+                f"{entry.edge_over}/{entry.edge}",
+                _verdict(entry.ok),
+            )
+    return table
+
+
+def _worst(comparison: Comparison) -> str:
+    worst = comparison.worst
+    if worst is None:
+        return ""
+    channel = f" {worst.channel}" if worst.channel else ""
+    return f"; worst pixel x {worst.x}, y {worst.y}{channel}: {worst.a!r} and {worst.b!r}"
+
+
+@whitted.command("renderers")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.pass_context
+def list_renderers(ctx: click.Context, /, as_json: bool) -> None:
+    """List the renderers: version, passes, and what to do for those that cannot run here."""
+    import tracer
+    from validation import renderers
+    from validation.renderers import Settings
+
+    with _errors():
+        ball = tracer.Sphere(
+            name="s", position=(0, 0, -5), scaling=(1, 1, 1), color=(1, 1, 1), ka=1, kd=1, ks=1, kr=1, exponent=1
+        )
+        light = tracer.Light(name="l", position=(5, 5, 0), intensity=(1, 1, 1))
+        view = tracer.View(near=1, left=-1, right=1, bottom=-1, top=1, columns=1, rows=1)
+        example = tracer.Scene(view=view, spheres=(ball,), lights=(light,))
+        entries = []
+        for renderer in renderers.all():
+            reason = renderer.unavailable()
+            entries.append(
+                {
+                    "name": renderer.name,
+                    "available": reason is None,
+                    "reason": reason,
+                    "version": renderer.version() if reason is None else None,
+                    "passes": _families(renderer.passes(example, Settings())) if reason is None else [],
+                }
+            )
+        failures = dict(renderers.registry().failures)
+    if as_json:
+        click.echo(json.dumps({"renderers": entries, "failures": failures}, indent=1))
+    else:
+        _print_renderers(entries, failures)
+    ctx.exit(0)
+
+
+def _families(passes: Sequence[str]) -> list[str]:
+    from tracer.passes import lookup
+
+    return list(dict.fromkeys(lookup(name).name for name in passes))
+
+
+def _print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str, str]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for header in ("name", "version", "available"):
+        table.add_column(header, no_wrap=True)
+    table.add_column("passes, or what to do", overflow="fold")
+    for entry in entries:
+        usable = entry["available"]
+        table.add_row(
+            entry["name"],
+            entry["version"] or "-",
+            Text("yes", style="green") if usable else Text("no", style="yellow"),
+            Text(", ".join(entry["passes"]) if usable else entry["reason"]),
+        )
+    _console().print(table)
+    sys.stdout.flush()
+    for name, reason in failures.items():
+        _complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}", "")
+
+
+@whitted.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE", help=".exr, .npz, .png or .ppm"
+)
+@click.option("--renderer", default="native-f64", show_default=True, metavar="NAME")
+@click.option("--passes", type=Names(), help="Passes to draw; default: beauty for an image, else all.")
+@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@settings_options
+def render(
+    scene: Path,
+    output: Path,
+    renderer: str,
+    passes: tuple[str, ...] | None,
+    size: tuple[int, int] | None,
+    **options: Any,
+) -> None:
+    """Draw the passes of SCENE with one renderer and write them to a file."""
+    from fnmatch import fnmatchcase
+
+    from tracer.passes import names
+    from validation.run import resized
+
+    ending = output.suffix.lower()
+    with _errors():
+        if ending not in (*PASS_FILES, *IMAGES):
+            raise CommandError(f"unknown file ending '{ending}' of {output}", "expected .exr, .npz, .png or .ppm")
+        _parent(output)
+        loaded = _load(scene, no_limits=options["no_limits"])
+        program = _usable(renderer)
+        settings = _settings(options)
+        loaded = resized(loaded, size) if size else loaded
+        delivers = program.passes(loaded, settings)
+        if not delivers:
+            raise CommandError(f"{program.name} cannot carry the scene {scene}", "see `whitted renderers`", FAILED)
+        picture = ending in IMAGES
+        wanted = passes or (("beauty",) if picture else delivers)
+        for name in wanted:
+            if "*" not in name and name not in delivers:
+                _refuse(name, program.name, delivers, names(len(loaded.lights), settings.max_reflections))
+        chosen = [name for name in delivers if any(fnmatchcase(name, pattern) for pattern in wanted)]
+        if not chosen:
+            raise CommandError(f"{scene} has none of the passes {', '.join(wanted)}", f"it has {', '.join(delivers)}")
+        if picture and "beauty" not in chosen:
+            raise CommandError(f"{output} would hold the pass 'beauty', which is not asked for", "write .exr or .npz")
+        try:
+            drawn = program.render(loaded, tuple(chosen), settings)
+        except Exception as error:  # whatever a renderer raises is its failure
+            raise CommandError(f"{program.name} failed: {type(error).__name__}: {error}", "", FAILED) from error
+        drawn.metadata |= {"renderer": program.name, "scene": loaded.text(), "command": shlex.join(_command())}
+        drawn.metadata |= {f"version of {key}": value for key, value in program.versions().items()}
+        drawn.save(output)
+
+
+def _refuse(name: str, program: str, delivers: Sequence[str], known: Sequence[str]) -> NoReturn:
+    near = difflib.get_close_matches(name, delivers, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(delivers)}"
+    what = f"{program} has no pass '{name}'" if name in known else f"unknown pass '{name}'"
+    raise CommandError(what, hint)
+
+
+@whitted.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--to", "target", type=click.Choice(["mitsuba"]), required=True, help="The other program.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE")
+@click.option("--sample", type=click.Choice(["corner", "center", "bottom-left", "inclusive"]), default="corner")
+@click.option("--max-reflections", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N")
+@click.option("--light", type=click.IntRange(0), metavar="I", help="Only light I, from 0; default: all.")
+@click.option("--stock-only", is_flag=True, help="Refuse a scene that needs plugins which Mitsuba does not come with.")
+@click.option("--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images.")
+def convert(
+    scene: Path,
+    target: str,
+    output: Path,
+    sample: Any,
+    max_reflections: int,
+    light: int | None,
+    stock_only: bool,
+    no_limits: bool,
+) -> None:
+    """Write SCENE as a scene of another program. The head of the file says how to render it."""
+    del target  # click has checked that it is the one there is
+    with _errors():
+        _parent(output)
+        loaded = _load(scene, no_limits=no_limits)
+        if light is not None and light >= len(loaded.lights):
+            raise CommandError(f"{scene} has no light {light}", f"it has {len(loaded.lights)}, counted from 0")
+        from converters.mitsuba import StockError, write_xml
+
+        options = {"sample": sample, "max_reflections": max_reflections, "light": light, "stock_only": stock_only}
+        try:
+            write_xml(loaded, output, **options)
+        except StockError as error:
+            raise CommandError(f"{scene}: {error}", "without --stock-only the file uses plugins of ours") from error
+
+
+@whitted.command()
+@click.argument("a", type=click.Path(path_type=Path))
+@click.argument("b", type=click.Path(path_type=Path))
+@click.option("--passes", type=Names(), help="Passes to compare; default: all that both files have.")
+@click.option(
+    "--tolerance",
+    type=float,
+    default=0.0,
+    show_default=True,
+    callback=_positive,
+    metavar="T",
+    help="Largest difference that counts as equal.",
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.pass_context
+def compare(
+    ctx: click.Context, /, a: Path, b: Path, passes: tuple[str, ...] | None, tolerance: float, json_file: Path | None
+) -> None:
+    """Compare two files of passes (.exr, .npz) or two images (.png, .ppm; values are levels from 0 to 255).
+
+    Exit status: 0 equal, 1 different, 2 the input or the command is wrong.
+    """
+    from validation.compare import compare_plain
+
+    with _errors():
+        first, second = _read(a), _read(b)
+        images = [path.suffix.lower() in IMAGES for path in (a, b)]
+        if images[0] != images[1]:
+            hint = "compare two files of passes (.exr, .npz) or two images (.png, .ppm)"
+            raise CommandError(f"{a} and {b}: one holds passes, the other is an 8-bit image", hint)
+        both = [name for name in first if name in second]
+        for name in passes or ():
+            for path, side in ((a, first), (b, second)):
+                if name not in side:
+                    _refuse(name, str(path), list(side), [*first, *second])
+        if not both:
+            raise CommandError(f"{a} and {b} have no pass in common", f"{', '.join(first)} and {', '.join(second)}")
+        labels = {"renderer": str(a), "reference": str(b)}
+        found = [
+            compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in passes or both
+        ]
+        equal = all(comparison.ok for comparison in found)
+        _print_comparisons(found)
+        alone = [name for name in [*first, *second] if name not in both]
+        if alone and not passes:
+            click.echo(f"note: only in one of the two, not compared: {', '.join(alone)}")
+        if json_file:
+            _parent(json_file)
+            record = {"ok": equal, "comparisons": [comparison.record() for comparison in found]}
+            _write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    ctx.exit(0 if equal else DIFFERENT)
+
+
+def _read(path: Path) -> Passes:
+    """A file of passes; an image becomes its levels under the name `beauty`."""
+    import numpy as np
+
+    from tracer.passes import Passes
+
+    ending = path.suffix.lower()
+    try:
+        if ending in PASS_FILES:
+            return Passes.load(path)
+        if ending not in IMAGES:
+            raise CommandError(f"{path}: unknown file ending '{ending}'", "expected .exr, .npz, .png or .ppm")
+        from PIL import Image
+
+        with Image.open(path) as image:
+            if image.mode not in ("RGB", "RGBA", "L", "P", "1", "LA"):
+                raise CommandError(f"{path}: an image of mode {image.mode}, expected 8 bits a channel")
+            return Passes({"beauty": np.asarray(image.convert("RGB")).astype(np.float64)})
+    except CommandError:
+        raise
+    except FileNotFoundError as error:
+        raise CommandError(f"{path}: no such file") from error
+    except (ValueError, SyntaxError) as error:
+        text = str(error)
+        raise CommandError(text if str(path) in text else f"{path}: {text}") from error
+    except OSError as error:
+        raise CommandError(f"{path}: {error.strerror or 'not a readable image'}") from error
+
+
+def _print_comparisons(found: Sequence[Comparison]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("pass")
+    for header in ("max error", "rmse", "p99.9", "pixels over"):
+        table.add_column(header, justify="right", no_wrap=True)
+    table.add_column("verdict", overflow="fold")
+    for comparison in found:
+        if comparison.ok:
+            verdict = Text("equal" if comparison.max == 0 else "equal within the tolerance", style="green")
+        elif comparison.max is None:
+            verdict = Text(f"DIFFERENT: {'; '.join(comparison.reasons)}", style="red")
+        else:
+            nan = [reason for reason in comparison.reasons if "NaN" in reason]
+            verdict = Text("; ".join(["DIFFERENT", *nan]) + _worst(comparison), style="red")
+        numbers = (number(value) for value in (comparison.max, comparison.rmse, comparison.p999))
+        table.add_row(comparison.pass_name, *numbers, str(comparison.interior_over), verdict)
+    _console().print(table)
+
+
+if __name__ == "__main__":
+    main()
