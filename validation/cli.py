@@ -18,20 +18,12 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
 
+if TYPE_CHECKING:
     from tracer import Scene
     from tracer.passes import Passes
-    from validation.compare import Comparison
     from validation.renderers import Renderer, Settings
-    from validation.run import Validation
-
-#: The smallest scene that needs every pass: what a renderer delivers for it is what it can deliver.
-EXAMPLE = """NEAR 1\nLEFT -1\nRIGHT 1\nBOTTOM -1\nTOP 1\nRES 1 1\nSPHERE s 0 0 -5 1 1 1 1 1 1 1 1 1 1 1
-LIGHT l 5 5 0 1 1 1\nBACK 0 0 0\nAMBIENT 1 1 1\nOUTPUT image.ppm\n"""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -72,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         status = error.status
         text = error.message
         # Diagnostics of scene files say `error:` after the place.
-        _complain(text if ": error: " in text else f"error: {text}", error.hint)
+        complain(text if ": error: " in text else f"error: {text}", error.hint)
     except click.ClickException as error:
         status = WRONG
         context = getattr(error, "ctx", None)
@@ -82,19 +74,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             message = f"no such option '{error.option_name}'"
             if near := difflib.get_close_matches(error.option_name, error.possibilities or (), n=1):
                 hint = f"did you mean '{near[0]}'?"
-        _complain(f"error: {message[:1].lower()}{message[1:]}", hint)
+        complain(f"error: {message[:1].lower()}{message[1:]}", hint)
     except (click.Abort, KeyboardInterrupt):
         status = INTERRUPTED
-        _complain("interrupted", "")
+        complain("interrupted")
     except BrokenPipeError:
         # The reader of our output has gone; Python must not complain about it again when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 128 + 13
     sys.exit(status if isinstance(status, int) else 0)
-
-
-def _complain(message: str, hint: str) -> None:
-    click.echo(message + (f"\n  hint: {hint}" if hint else ""), err=True)
 
 
 class Names(click.ParamType[tuple[str, ...]]):
@@ -245,14 +233,6 @@ def _parent(path: Path) -> None:
         raise CommandError(f"{path}: there is no folder {path.parent}", f"mkdir -p {shlex.quote(str(path.parent))}")
 
 
-def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
-    # A file or a pipe has no width of its own; 80 would break names.
-    wide = None if (sys.stderr if stderr else sys.stdout).isatty() else 160
-    return Console(stderr=stderr, highlight=False, width=wide)
-
-
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(importlib.metadata.version("whitted"), message="%(prog)s %(version)s")
 def whitted() -> None:
@@ -317,7 +297,7 @@ def validate(
                 progress=progress,
             )
         result.command = command
-        _print_validation(result, verbose=verbose or len(loaded) == 1)
+        print_validation(result, verbose=verbose or len(loaded) == 1)
         if json_file:
             _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
         if page and report:
@@ -336,7 +316,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
     if not sys.stderr.isatty():
         yield lambda _: None
         return
-    with _console(stderr=True).status("") as status:
+    with console(stderr=True).status("") as status:
         yield status.update
 
 
@@ -347,91 +327,11 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _colorful() -> bool:
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-
-
-def _verdict(ok: bool) -> Text:
-    from rich.text import Text
-
-    return Text("agree", style="green") if ok else Text("DIFFER", style="bold red")
-
-
-def number(value: float | None) -> str:
-    """A measured number as people read it."""
-    return "-" if value is None else "0" if value == 0 else f"{value:.2g}"
-
-
-def _print_validation(result: Validation, *, verbose: bool) -> None:
-    console = _console()
-    pairs: dict[tuple[str, str], dict[str, list[Comparison]]] = {}
-    for comparison in result.comparisons:
-        scenes = pairs.setdefault((comparison.renderer, comparison.reference), {})
-        scenes.setdefault(comparison.scene, []).append(comparison)
-    for (renderer, reference), scenes in pairs.items():
-        console.print(f"{renderer} against {reference}", style="bold", markup=False)
-        console.print(_table(scenes, verbose=verbose))
-        console.print()
-    for comparison in result.comparisons:
-        if not comparison.ok:
-            where = f"{comparison.scene}: {comparison.pass_name} ({comparison.renderer}, {comparison.reference})"
-            click.secho(f"{where}: {'; '.join(comparison.reasons)}{_worst(comparison)}", fg="red", color=_colorful())
-    for note in result.notes:
-        click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
-    if result.comparisons:
-        click.echo("interior, edge: pixels over tolerance / all; only interior ones have to agree")
-    for failure in result.failures:
-        click.echo(f"error: {': '.join(filter(None, vars(failure).values()))}", err=True)
-    agree = sum(comparison.ok for comparison in result.comparisons)
-    click.echo(
-        f"{agree} of {len(result.comparisons)} comparisons agree"
-        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
-    )
-
-
-def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool) -> Table:
-    """A row a scene that agrees, a row for every pass that does not; `verbose`: a row for every pass.
-
-    `interior` and `edge` count pixels over tolerance of all such pixels.
-    """
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("scene", overflow="fold", min_width=16)
-    table.add_column("pass", overflow="fold", min_width=10)
-    for header in ("max error", "/tolerance", "interior", "edge"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("result", no_wrap=True)
-    for scene, group in scenes.items():
-        rows = [(entry.pass_name, entry) for entry in group if verbose or not entry.ok]
-        if not rows:
-            nearest = max(group, key=lambda entry: entry.ratio or 0)
-            rows = [(f"all {len(group)}, worst {nearest.pass_name}", nearest)]
-        for place, (label, entry) in enumerate(rows):
-            table.add_row(
-                f"{scene} {entry.size[0]}x{entry.size[1]}" if place == 0 else "",
-                label,
-                number(entry.max),
-                number(entry.ratio),
-                f"{entry.interior_over}/{entry.interior}",
-                f"{entry.edge_over}/{entry.edge}",
-                _verdict(entry.ok),
-            )
-    return table
-
-
-def _worst(comparison: Comparison) -> str:
-    worst = comparison.worst
-    if worst is None:
-        return ""
-    channel = f" {worst.channel}" if worst.channel else ""
-    return f"; worst pixel x {worst.x}, y {worst.y}{channel}: {worst.a!r} and {worst.b!r}"
-
-
 @whitted.command("renderers")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--missing", is_flag=True, help="Only those that cannot run here, a line each.")
 @click.pass_context
-def list_renderers(ctx: click.Context, /, as_json: bool) -> None:
+def list_renderers(ctx: click.Context, /, as_json: bool, missing: bool) -> None:
     """List the renderers: version, passes, and what to do for those that cannot run here."""
     import tracer
     from validation import renderers
@@ -457,10 +357,15 @@ def list_renderers(ctx: click.Context, /, as_json: bool) -> None:
                 }
             )
         failures = dict(renderers.registry().failures)
+    if missing:
+        entries = [entry for entry in entries if not entry["available"]]
     if as_json:
         click.echo(json.dumps({"renderers": entries, "failures": failures}, indent=1))
+    elif missing:
+        for entry in entries:
+            click.echo(f"not available: {entry['name']}: {entry['reason']}")
     else:
-        _print_renderers(entries, failures)
+        print_renderers(entries, failures)
     ctx.exit(0)
 
 
@@ -468,28 +373,6 @@ def _families(passes: Sequence[str]) -> list[str]:
     from tracer.passes import lookup
 
     return list(dict.fromkeys(lookup(name).name for name in passes))
-
-
-def _print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str, str]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in ("name", "version", "available"):
-        table.add_column(header, no_wrap=True)
-    table.add_column("passes, or what to do", overflow="fold")
-    for entry in entries:
-        usable = entry["available"]
-        table.add_row(
-            entry["name"],
-            entry["version"] or "-",
-            Text("yes", style="green") if usable else Text("no", style="yellow"),
-            Text(", ".join(entry["passes"]) if usable else entry["reason"]),
-        )
-    _console().print(table)
-    sys.stdout.flush()
-    for name, reason in failures.items():
-        _complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}", "")
 
 
 @whitted.command()
@@ -630,7 +513,7 @@ def compare(
             compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in passes or both
         ]
         equal = all(comparison.ok for comparison in found)
-        _print_comparisons(found)
+        print_comparisons(found)
         alone = [name for name in [*first, *second] if name not in both]
         if alone and not passes:
             click.echo(f"note: only in one of the two, not compared: {', '.join(alone)}")
@@ -668,28 +551,6 @@ def _read(path: Path) -> Passes:
         raise CommandError(text if str(path) in text else f"{path}: {text}") from error
     except OSError as error:
         raise CommandError(f"{path}: {error.strerror or 'not a readable image'}") from error
-
-
-def _print_comparisons(found: Sequence[Comparison]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("pass")
-    for header in ("max error", "rmse", "p99.9", "pixels over"):
-        table.add_column(header, justify="right", no_wrap=True)
-    table.add_column("verdict", overflow="fold")
-    for comparison in found:
-        if comparison.ok:
-            verdict = Text("equal" if comparison.max == 0 else "equal within the tolerance", style="green")
-        elif comparison.max is None:
-            verdict = Text(f"DIFFERENT: {'; '.join(comparison.reasons)}", style="red")
-        else:
-            nan = [reason for reason in comparison.reasons if "NaN" in reason]
-            verdict = Text("; ".join(["DIFFERENT", *nan]) + _worst(comparison), style="red")
-        numbers = (number(value) for value in (comparison.max, comparison.rmse, comparison.p999))
-        table.add_row(comparison.pass_name, *numbers, str(comparison.interior_over), verdict)
-    _console().print(table)
 
 
 if __name__ == "__main__":
