@@ -205,7 +205,7 @@ class Band:
     def place(self, at: Surface, direction: Real) -> Place:
         """What the spheres add to the errors of hits."""
         scaling, position = pick(self.tables.scaling, at.x.start), pick(self.position, at.x.start)
-        return place(at.t, direction, at.normal, at.x.point, scaling, position)
+        return place(at.t, direction, at.x.point, scaling, position)
 
     def shading(self, at: Surface, motion: Motion, bounce: int) -> tuple[Real, Real, Real, Real]:
         """The decisions behind each light, and how much the terms move; last, the size of all terms together."""

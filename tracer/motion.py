@@ -134,7 +134,7 @@ class Place:
 
     t: Real
     direction: Real
-    normal: Real
+    normal: Real  # outward
     scaling: Real
     gradient: Real  # (x - p) / s^2
     along: Real  # how far the surface moves the hit along the ray, in lengths of its direction
@@ -145,9 +145,10 @@ class Place:
         return curvature(self.scaling, self.gradient)
 
 
-def place(t: Real, direction: Real, normal: Real, n: Real, scaling: Real, position: Real) -> Place:
+def place(t: Real, direction: Real, n: Real, scaling: Real, position: Real) -> Place:
     """What the surface |y| = 1 of a sphere adds to the errors of a hit at y = n."""
     gradient = n / scaling
+    normal = gradient / norm(gradient)
     slope = dot(gradient, direction)
     # Along the ray the hit moves with the centre, the scalings, and the rounding of y = o + t d.
     step = np.abs(n) + 2 * np.abs(t * direction / scaling)
@@ -170,37 +171,48 @@ def place(t: Real, direction: Real, normal: Real, n: Real, scaling: Real, positi
 
 def reflected(beam: Pencil | Ellipsoid, at: Place) -> Ellipsoid:
     """The errors of the rays that mirrors send on."""
-    count = at.t.size
-    one = identity(count)
-    starts, mixed, directions = beam.blocks()
-    # The hit point: dx = P (do + t dd) + d along, with P sliding along the ray back to the surface.
-    sliding = slide(at.gradient, at.direction)
-    # The normal: dN = K dx, K = (1 - N N) / |g| diag(1 / s^2).
-    bend = (one - outer(at.normal, at.normal)) / norm(at.gradient) / (at.scaling * at.scaling)[None, :, :]
-    # The direction: d' = d - 2 (d.N) N, so dd' = (1 - 2 N N) dd - 2 (N d + (d.N) 1) dN.
-    flip = one - 2 * outer(at.normal, at.normal)
-    swing = -2 * (outer(at.normal, at.direction) + dot(at.direction, at.normal) * one)
-    turn = product(swing, bend)
+    carried, added = carry(beam, at).blocks(), add(at).blocks()
+    # (a + b)^2 <= (1 + 1/p) a^2 + (1 + p) b^2 for any p; best where p = a / b.
+    p = np.clip(root_of(trace_of(carried[2]) / trace_of(added[2])), 1e-6, 1e6)
+    return Ellipsoid(*((1 + 1 / p) * a + (1 + p) * b for a, b in zip(carried, added, strict=True)))
 
+
+def mirror(at: Place) -> tuple[Matrix, Matrix]:
+    """What a step of the hit does to the reflected direction, and what a turn of the normal does to it."""
+    one, normal = identity(at.t.size), at.normal
+    # The outward normal: dN = K dx, K = (1 - N N) / |g| diag(1 / s^2).
+    bend = (one - outer(normal, normal)) / norm(at.gradient) / (at.scaling * at.scaling)[None, :, :]
+    # The direction: d' = d - 2 (d.N) N, so dd' = (1 - 2 N N) dd - 2 (N d + (d.N) 1) dN, whichever way N points.
+    swing = -2 * (outer(normal, at.direction) + dot(at.direction, normal) * one)
+    return product(swing, bend), swing
+
+
+def carry(beam: Pencil | Ellipsoid, at: Place) -> Ellipsoid:
+    """The errors that rays bring to mirrors, after the mirrors."""
+    starts, mixed, directions = beam.blocks()
+    turn, _ = mirror(at)
+    # The hit point: dx = P (do + t dd), with P sliding along the ray back to the surface.
+    sliding = slide(at.gradient, at.direction)
+    flip = identity(at.t.size) - 2 * outer(at.normal, at.normal)
     hit = product(product(sliding, at_point((starts, mixed, directions), at.t)), turned(sliding))
     arriving = product(product(sliding, mixed + at.t * directions), turned(flip))
     through = product(turn, arriving)
     bent = product(product(turn, hit), turned(turn))
     flipped = product(product(flip, directions), turned(flip))
-    carried = (hit, product(hit, turned(turn)) + arriving, bent + through + turned(through) + flipped)
-    # What the mirror adds: it moves along the ray, its normal tilts, and d' is rounded; of three terms the square is at
-    # most 3 times the sum of the squares.
+    return Ellipsoid(hit, product(hit, turned(turn)) + arriving, bent + through + turned(through) + flipped)
+
+
+def add(at: Place) -> Ellipsoid:
+    """What mirrors add: they move along the ray, their normals tilt, and d' is rounded.
+
+    Of three terms the square is at most 3 times the sum of the squares.
+    """
+    turn, swing = mirror(at)
     pushed = at.direction * at.along
     swung = (turn * pushed[None]).sum(axis=1)
-    rounded = one * (4 * dot(at.direction, at.direction))
-    added = (
-        3 * outer(pushed, pushed),
-        3 * outer(pushed, swung),
-        3 * (outer(swung, swung) + product(swing, turned(swing)) * at.tilt**2 + rounded),
-    )
-    # (a + b)^2 <= (1 + 1/p) a^2 + (1 + p) b^2 for any p; best where p = a / b.
-    p = np.clip(root_of(trace_of(carried[2]) / trace_of(added[2])), 1e-6, 1e6)
-    return Ellipsoid(*((1 + 1 / p) * a + (1 + p) * b for a, b in zip(carried, added, strict=True)))
+    tilted = product(swing, turned(swing)) * at.tilt**2
+    rounded = identity(at.t.size) * (4 * dot(at.direction, at.direction))
+    return Ellipsoid(3 * outer(pushed, pushed), 3 * outer(pushed, swung), 3 * (outer(swung, swung) + tilted + rounded))
 
 
 def identity(count: int) -> Matrix:
