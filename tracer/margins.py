@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.motion import Ellipsoid, Meeting, Pencil, Place, Root, Segment, norm, place, ratio, reflected, slant
-from tracer.passes import MARGINS, Sample, names
+from tracer.passes import MARGINS, Sample, lookup, names
 from tracer.reference import (
     Flags,
     Index,
@@ -52,10 +52,25 @@ class Analysis:
     """What is known about each pixel of a scene before any renderer has drawn it; arrays are (rows, columns)."""
 
     margins: dict[str, NDArray[np.float64]]  # by kind; inf where there is no such decision
+    # The same of fewer decisions: those behind the primary hit alone, and those with the lights that reach it.
+    primary: dict[str, NDArray[np.float64]]
+    lighted: dict[str, NDArray[np.float64]]
     sensitivity: dict[str, NDArray[np.float64]]  # by pass: change of any channel per unit delta, to first order
     outline: float  # length of the spheres' outlines in pixels
     ids: NDArray[np.int32]
     lit: list[NDArray[np.bool_]]  # by light: where N.L > 0, so where `shadow` is compared
+
+    def behind(self, name: str) -> dict[str, NDArray[np.float64]]:
+        """The margins of the decisions that a pass depends on, by kind.
+
+        Raises:
+            ValueError: there is no such pass.
+        """
+        if name in ("diffuse", "specular", "direct") or lookup(name).quantity == "visibility":
+            return self.lighted
+        if name == "beauty" or lookup(name).name.startswith("reflection"):
+            return self.margins
+        return self.primary
 
 
 @dataclass
@@ -96,6 +111,8 @@ def analyse(
 
     return Analysis(
         {kind: image([part.margins[kind] for part in parts]) for kind in MARGINS},
+        {kind: image([part.primary[kind] for part in parts]) for kind in MARGINS},
+        {kind: image([part.lighted[kind] for part in parts]) for kind in MARGINS},
         {name: image([part.sensitivity[name] for part in parts]) for name in parts[0].sensitivity},
         length,
         image([part.ids for part in parts]),
@@ -117,6 +134,8 @@ class Band:
         self.position = np.array([s.position for s in scene.spheres], dtype=np.float64).reshape(-1, 3).T
         self.light = np.array([p.position for p in scene.lights], dtype=np.float64).reshape(-1, 3).T
         self.margins = {kind: np.full(count, np.inf) for kind in MARGINS}
+        self.primary: dict[str, Real] = {}
+        self.lighted: dict[str, Real] = {}
         self.ids = np.full(count, -1, np.int32)
         self.lit = [np.zeros(count, bool) for _ in range(tables.lights)]
         self.sensitivity: dict[str, NDArray[np.float64]] = {}
@@ -149,11 +168,14 @@ class Band:
         beam: Pencil | Ellipsoid = Pencil(radius)
         for bounce, (rays, hits, at) in enumerate(trace(tables, self.rays, max_reflections)):
             self.first_hit(rays, hits.sphere, hits.t, beam, after=1 if bounce == 0 else 0)
+            if bounce == 0:
+                self.primary = {kind: margin.copy() for kind, margin in self.margins.items()}
             hit = np.flatnonzero(hits.sphere >= 0)
             motion = moved(beam[hit], self.place(at, rays.direction[:, hit]))
             pixel = at.x.pixel
             ambient, diffuse, specular, size = self.shading(at, motion, bounce)
             if bounce == 0:
+                self.lighted = {kind: margin.copy() for kind, margin in self.margins.items()}
                 self.ids = hits.sphere.astype(np.int32)
                 missed = self.ids < 0
                 sensitivity["ambient"][pixel], sensitivity["diffuse"][pixel] = ambient, diffuse

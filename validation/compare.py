@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 Mask: TypeAlias = NDArray[np.bool_]
 Record: TypeAlias = dict[str, Any]
 
-#: Decisions behind the passes that show the primary hit alone: no light takes part in them.
-PRIMARY_DECISIONS = ("silhouette", "range", "order")
-PRIMARY_PASSES = ("id", "depth", "position", "normal", "ambient")
-
 
 @dataclass(frozen=True)
 class Worst:
@@ -141,10 +137,10 @@ class Judge:
         """Pixels of a pass with a decision that one of the two renderers may take either way, or without a bound."""
         shape = self.analysis.ids.shape
         edge = np.zeros(shape, dtype=bool)
-        for kind in PRIMARY_DECISIONS if name in PRIMARY_PASSES else MARGINS:
+        for kind, margin in self.analysis.behind(name).items():
             limit = np.maximum(getattr(self.renderer, kind), getattr(self.reference, kind))
             # Written so that a margin that is NaN makes an edge.
-            edge |= ~(self.analysis.margins[kind] >= limit)
+            edge |= ~(margin >= limit)
         return edge | ~np.isfinite(self.tolerance(name))
 
     def tolerance(self, name: str) -> metrics.Array:

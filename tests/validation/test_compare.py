@@ -44,17 +44,21 @@ def passes(**changed: Any) -> Passes:
     return Passes({**arrays, **{name.replace("shadow_L0", "shadow.L0"): array for name, array in changed.items()}})
 
 
-def analysis(**margins: Any) -> Analysis:
-    """One sphere: margins of 1 but in one column, sensitivity 1 everywhere, lit in the upper half."""
-    every = {kind: np.full(SHAPE, 1.0) for kind in MARGINS}
-    for kind, value in margins.items():
-        every[kind][:, NEAR] = value
+def analysis(since: str = "primary", **margins: Any) -> Analysis:
+    """One sphere: margins of 1 but in one column, sensitivity 1 everywhere, lit in the upper half.
+
+    `since`: the margins are those of decisions at the primary hit, of its lights ("lighted"), or of what it mirrors.
+    """
+    stages = {stage: {kind: np.full(SHAPE, 1.0) for kind in MARGINS} for stage in ("primary", "lighted", "margins")}
+    for stage in list(stages)[list(stages).index(since) :]:
+        for kind, value in margins.items():
+            stages[stage][kind][:, NEAR] = value
     ids = np.where(np.arange(COLUMNS) < HIT, 0, -1) * np.ones(SHAPE, np.int32)
     lit = np.zeros(SHAPE, bool)
     lit[: ROWS // 2] = True
     sensitivity = {name: np.full(SHAPE, 1.0) for name in NAMES}
     sensitivity["id"] = sensitivity["shadow.L0"] = np.zeros(SHAPE)
-    return Analysis(margins=every, sensitivity=sensitivity, outline=20.0, ids=ids, lit=[lit])
+    return Analysis(**stages, sensitivity=sensitivity, outline=20.0, ids=ids, lit=[lit])
 
 
 def claim(unit: float = 0.5e-6, decision: float = 1e-6, absolute: Mapping[str, float] | None = None) -> Uncertainty:
@@ -127,11 +131,22 @@ def test_a_pixel_near_a_decision_is_an_edge_for_the_less_certain_renderer(kind: 
         assert (excused.edge, excused.edge_over, excused.interior) == (ROWS, 1, ROWS * (COLUMNS - 1))
 
 
-def test_light_excuses_nothing_of_the_primary_hit() -> None:
-    by = judge(analysis(terminator=0.0))
-    for name, value in {"id": 1, "depth": 6.0, "position": 6.0, "normal": 0.5, "ambient": 0.5}.items():
+@pytest.mark.parametrize("kind", MARGINS)
+@pytest.mark.parametrize(
+    ("since", "strict", "excused"),
+    [
+        ("lighted", ("id", "depth", "position", "normal", "ambient"), "diffuse"),
+        ("margins", ("id", "depth", "position", "normal", "ambient", "diffuse", "shadow.L0"), "beauty"),
+    ],
+)
+def test_a_later_decision_excuses_nothing_before_it(
+    kind: str, since: str, strict: tuple[str, ...], excused: str
+) -> None:
+    by = judge(analysis(since, **{kind: 0.0}))
+    for name in strict:
+        value = {"id": 1, "shadow.L0": 0.0}.get(name, 6.0)
         assert not compare(changed(name, (5, NEAR), value), passes(), name, by).ok
-    assert compare(changed("diffuse", (5, NEAR, 0), 9.0), passes(), "diffuse", by).ok
+    assert compare(changed(excused, (5, NEAR, 0), 9.0), passes(), excused, by).ok
 
 
 def test_a_margin_that_is_no_number_makes_an_edge() -> None:
