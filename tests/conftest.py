@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # Machines that do several things at once are slow now and then, which says nothing about the code.
 settings.register_profile("whitted", deadline=None)
 settings.load_profile("whitted")
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and what they start would ignore it too.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 Need = Callable[[object, str], None]
 
