@@ -6,13 +6,13 @@ PACKAGES := git make g++ python3-dev python3-venv
 NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
 CPUS := $(shell nproc 2>/dev/null || echo 2)
 
-.PHONY: help demo test lint clean install
+.PHONY: help demo test lint clean install always
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    validate the bundled scenes against Mitsuba and write report/index.html"
 	@echo "make test    run the whole test suite"
-	@echo "make lint    ruff, mypy, clang-format, import-linter"
+	@echo "make lint    ruff, mypy, import-linter, clang-format, and C++ without a warning"
 	@echo "make clean   remove everything that the other targets made"
 
 # The system packages, checked by what they bring.
@@ -37,16 +37,21 @@ $(VENV)/dependencies: $(VENV)/checked pyproject.toml
 	$(BIN)/pip install --quiet --group dev
 	@touch $@
 
+# An editable installation knows the Python files by their names: this changes when one comes or goes.
+$(VENV)/files: $(VENV)/dependencies always
+	@find tracer converters validation -name '*.py' | LC_ALL=C sort > $@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
 # Editable: Python files are used where they lie; C++ is compiled again when it changed.
-$(VENV)/installed: $(VENV)/dependencies CMakeLists.txt $(NATIVE)
+$(VENV)/installed: $(VENV)/dependencies $(VENV)/files CMakeLists.txt $(NATIVE)
 	$(BIN)/pip install --quiet --no-build-isolation --editable .
 	@touch $@
 
 install: $(VENV)/installed
 
 demo: install
-	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report
-	@$(BIN)/whitted renderers --missing
+	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report; status=$$?; \
+	$(BIN)/whitted renderers --missing; exit $$status
 
 test: install
 	$(BIN)/python -m pytest -n $(CPUS) --dist worksteal; status=$$?; $(BIN)/whitted renderers --missing; exit $$status
@@ -57,6 +62,9 @@ lint: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
+	PATH="$(abspath $(BIN)):$$PATH" cmake -S . -B build/lint -G Ninja -DWHITTED_WERROR=ON -DWHITTED_PYTHON=ON \
+		-DPython_EXECUTABLE="$(abspath $(BIN))/python" -Dnanobind_DIR="$$($(BIN)/python -m nanobind --cmake_dir)" >/dev/null
+	PATH="$(abspath $(BIN)):$$PATH" cmake --build build/lint --target raytrace _native
 
 clean:
 	rm -rf $(VENV) build dist report tracer/_native.pyi .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -37,6 +37,13 @@ if TYPE_CHECKING:
 STOCK_AOVS = "albedo:albedo,position:position,normal:sh_normal,shape:shape_index"
 
 
+#: How a file with our plugins becomes an image, as typed into Python.
+RECIPE = (
+    "import mitsuba; from converters import mitsuba_plugins; mitsuba.set_variant('scalar_rgb'); "
+    "mitsuba_plugins.register(); image = mitsuba.render(mitsuba.load_file('FILE'))"
+)
+
+
 class StockError(ValueError):
     """A scene needs what stock Mitsuba cannot say; `reasons` has one sentence each."""
 
@@ -284,7 +291,8 @@ def write_xml(
     """Write the scene of `to_dict` as an XML file that needs no other file.
 
     A file without plugins of ours renders with Mitsuba's own program: `mitsuba -m scalar_rgb FILE`. Any other needs
-    Python: `mitsuba_plugins.register()`, then `mitsuba.load_file(FILE)`. A comment at its top says which it is.
+    Python: `mitsuba.set_variant(...)`, `mitsuba_plugins.register()`, then `mitsuba.load_file(FILE)`. A comment at its
+    top says which it is.
 
     Raises:
         StockError: `stock_only`, and stock plugins cannot say the scene.
@@ -309,7 +317,7 @@ def write_xml(
         comments.append("The light falls off: multiply the image by pi d^2, d the distance from the light.")
     if ours:
         comments.append(f"Not for Mitsuba's own program: {', '.join(ours)} are plugins of the package `converters`.")
-        comments.append("In Python: converters.mitsuba_plugins.register(), then mitsuba.load_file(...).")
+        comments.append(f"In Python: {RECIPE}")
     else:
         comments.append("Renders with Mitsuba's own program: mitsuba -m scalar_rgb FILE")
     head = "".join(f"<!-- {comment} -->\n" for comment in comments)

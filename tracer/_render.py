@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Sequence
-from typing import Any, Literal
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
-from .passes import SAMPLES, Passes, Sample, lookup
-
-Precision = Literal["f64", "f32"]
+from .passes import SAMPLES, Passes, Precision, Sample, lookup
 
 
 def render(
@@ -37,10 +37,19 @@ def render(
         max_reflections: mirror bounces followed for a pixel.
 
     Raises:
+        TypeError: an argument of another kind.
         ValueError: a pass, or a setting, that there is not.
         SceneError: a magnitude that float32 cannot carry.
         MemoryError: the passes need more memory than this machine has.
     """
+    if not isinstance(scene, _native.Scene):
+        raise TypeError(f"scene is {scene!r}, expected a Scene: tracer.load(path) reads one from a file")
+    threads, max_reflections = _integer("threads", threads), _integer("max_reflections", max_reflections)
+    if not isinstance(shadow_epsilon, Real):
+        raise TypeError(f"shadow_epsilon is {shadow_epsilon!r}, expected a number")
+    names = (passes,) if isinstance(passes, str) else tuple(dict.fromkeys(passes))
+    if strange := [name for name in names if not isinstance(name, str)]:
+        raise TypeError(f"passes holds {strange[0]!r}, expected names of passes")
     if precision not in ("f64", "f32"):
         raise ValueError(f"precision is {precision!r}, expected 'f64' or 'f32'")
     if sample not in SAMPLES:
@@ -52,7 +61,6 @@ def render(
     if not 0 <= max_reflections <= _native.MOST_REFLECTIONS:
         raise ValueError(f"max_reflections is {max_reflections}, expected 0 to {_native.MOST_REFLECTIONS}")
 
-    names = (passes,) if isinstance(passes, str) else tuple(dict.fromkeys(passes))
     dtype = np.dtype(np.float64 if precision == "f64" else np.float32)
     targets = [(name, *_member(scene, name)) for name in names]
     view = scene.view
@@ -76,6 +84,13 @@ def render(
     settings = {"sample": sample, "shadow_epsilon": repr(shadow_epsilon), "max_reflections": str(max_reflections)}
     made_by = {"renderer": f"native-{precision}", "instruction_set": _native.instruction_set()}
     return Passes(arrays, made_by | settings)
+
+
+def _integer(name: str, value: object) -> int:
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise TypeError(f"{name} is {value!r}, expected an integer") from None
 
 
 def _member(scene: _native.Scene, name: str) -> tuple[str, int]:

@@ -150,8 +150,7 @@ class Band:
         """Follow the rays from bounce to bounce, each with the radius of its error."""
         view, tables, direction = self.scene.view, self.tables, self.rays.direction
         count = self.rays.pixel.size
-        passes = [name for name in names(tables.lights, max_reflections) if not name.startswith("margin.")]
-        sensitivity = {name: np.zeros(count) for name in passes}
+        sensitivity = {name: np.zeros(count) for name in names(tables.lights, max_reflections, margins=False)}
         self.sensitivity = sensitivity
         # The ray's own change, and that of the numbers of the view.
         right = (direction[0] - view.left) / (view.right - view.left)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Quantity = Literal["color", "visibility", "length", "position", "normal", "id", "margin"]
+Precision = Literal["f64", "f32"]
 Sample = Literal["corner", "center", "bottom-left", "inclusive"]
 SAMPLES: tuple[Sample, ...] = ("corner", "center", "bottom-left", "inclusive")
 MARGINS = ("silhouette", "range", "order", "terminator")
@@ -62,12 +63,12 @@ TABLE: tuple[Pass, ...] = (
 )
 
 
-def names(lights: int, max_reflections: int = 3) -> tuple[str, ...]:
-    """Every pass of a scene with that many lights, in the order of the table, margins last."""
+def names(lights: int, max_reflections: int = 3, *, margins: bool = True) -> tuple[str, ...]:
+    """Every pass of a scene with that many lights, in the order of the table, margins (if wanted) last."""
     members = {
         "shadow.L*": [f"shadow.L{i}" for i in range(lights)],
         "reflection.*": [f"reflection.{k}" for k in range(1, max_reflections + 1)],
-        "margin.*": [f"margin.{kind}" for kind in MARGINS],
+        "margin.*": [f"margin.{kind}" for kind in MARGINS if margins],
     }
     return tuple(name for row in TABLE for name in members.get(row.name, [row.name]))
 
@@ -100,11 +101,20 @@ def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 
 @contextlib.contextmanager
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left."""
+    """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left.
+
+    A device or a pipe is written directly: it must not be replaced by a file.
+    """
+    if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
+        yield Path(path)
+        return
     path = Path(os.path.realpath(path))  # the file behind a link is replaced, not the link
     if not path.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(path.parent))
-    handle, name = tempfile.mkstemp(prefix=".whitted-", suffix=path.suffix, dir=path.parent)
+    try:
+        handle, name = tempfile.mkstemp(prefix=".whitted-", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -113,6 +123,11 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
         temporary.replace(path)
+    except OSError as error:
+        # The user knows the target, not the file beside it.
+        if error.errno and error.filename in (None, name, temporary):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.passes import MARGINS, SAMPLES, Passes, Sample, lookup, names
+from tracer.passes import MARGINS, SAMPLES, Passes, Precision, Sample, lookup, names
 
 if TYPE_CHECKING:
     from tracer import Scene, View
 
-Precision = Literal["f32", "f64"]
 Real = NDArray[np.floating[Any]]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.intp]
@@ -369,8 +368,7 @@ def render_band(tables: Tables, rays: Rays, epsilon: float, max_reflections: int
     zero = np.zeros((3, count), tables.real)
     image: dict[str, NDArray[Any]] = {
         name: np.zeros(count, tables.real) if not lookup(name).channels else zero.copy()
-        for name in names(tables.lights, max_reflections)
-        if not name.startswith("margin.")
+        for name in names(tables.lights, max_reflections, margins=False)
     }
     for bounce, (bounce_rays, hits, at) in enumerate(trace(tables, rays, max_reflections)):
         pixel = at.x.pixel

@@ -10,6 +10,7 @@ import os
 import re
 import shlex
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
+from click.exceptions import NoArgsIsHelpError
 
 from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
 
@@ -27,8 +29,16 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+#: Those of tracer.passes, which takes longer to import than help may take; a test holds them together.
+SAMPLES = ("corner", "center", "bottom-left", "inclusive")
 PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
-DIFFERENT, WRONG, FAILED, INTERRUPTED = 1, 2, 3, 130
+DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED = 1, 2, 3, 130, 128 + 13
+#: As tracer limits them.
+MOST_THREADS, LONGEST_SIDE = 1024, 100_000
+
+
+class ReaderGoneError(Exception):
+    """Nobody reads our output any more. No OSError: click would end with status 1, which means a difference."""
 
 
 class CommandError(click.ClickException):
@@ -54,9 +64,30 @@ class Commands(click.Group):
             raise CommandError(f"unknown command '{args[0]}'", hint)
         return super().resolve_command(ctx, args)
 
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        """Parse the words; --help and --version print here."""
+        with _pipe():
+            return super().make_context(*args, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        with _pipe():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _pipe() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise ReaderGoneError from error
+
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line; every error is a sentence and a hint on stderr, never a traceback."""
+    if sys.stdout is None:
+        complain("error: standard output is closed", "send it to a file or to /dev/null")
+        sys.exit(WRONG)
     try:
         status = whitted.main(args=arguments, prog_name="whitted", standalone_mode=False)
         sys.stdout.flush()
@@ -65,6 +96,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         text = error.message
         # Diagnostics of scene files say `error:` after the place.
         complain(text if ": error: " in text else f"error: {text}", error.hint)
+    except NoArgsIsHelpError as error:
+        status = WRONG
+        click.echo(error.format_message(), err=True)
     except click.ClickException as error:
         status = WRONG
         context = getattr(error, "ctx", None)
@@ -78,10 +112,16 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except (click.Abort, KeyboardInterrupt):
         status = INTERRUPTED
         complain("interrupted")
-    except BrokenPipeError:
-        # The reader of our output has gone; Python must not complain about it again when it ends.
+    except (BrokenPipeError, ReaderGoneError):
+        status = PIPE_CLOSED
+    except OSError as error:
+        status = WRONG
+        complain(f"error: standard output: {error.strerror or error}", "send it elsewhere")
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # Python must not complain about it again when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = 128 + 13
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -97,7 +137,7 @@ class Names(click.ParamType[tuple[str, ...]]):
         parts = tuple(part.strip() for part in value.split(","))
         if not all(parts):
             self.fail(f"'{value}' has an empty name", param, ctx)
-        return parts
+        return tuple(dict.fromkeys(parts))
 
 
 class Size(click.ParamType[tuple[int, int]]):
@@ -133,7 +173,7 @@ def settings_options(function: Function) -> Function:
         (
             click.option(
                 "--sample",
-                type=click.Choice(["corner", "center", "bottom-left", "inclusive"]),
+                type=click.Choice(SAMPLES),
                 default="corner",
                 show_default=True,
                 help="Where in its pixel a ray goes through.",
@@ -156,7 +196,11 @@ def settings_options(function: Function) -> Function:
                 help="Reflected rays in a chain.",
             ),
             click.option(
-                "--threads", type=click.IntRange(0), default=0, metavar="N", help="Threads; 0, the default: all."
+                "--threads",
+                type=click.IntRange(0, MOST_THREADS),
+                default=0,
+                metavar="N",
+                help="Threads; 0, the default: all.",
             ),
             click.option(
                 "--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images."
@@ -170,12 +214,19 @@ def settings_options(function: Function) -> Function:
 @contextmanager
 def _errors() -> Iterator[None]:
     """What is wrong with the input, as an error of the command; warnings go to stderr in the same style."""
+    import tracer
     from validation.renderers import UnknownRendererError
-    from validation.run import SceneFilesError
+    from validation.run import InputError, RendererError, SceneFilesError
+
+    try:
+        tracer.instruction_set()
+    except ValueError as error:
+        raise CommandError(str(error), "unset WHITTED_ISA to use the best one") from error
 
     def show(message: Warning | str, category: type[Warning], *_: object) -> None:
         del category
-        click.echo(f"warning: {message}", err=True)
+        # Those of scene files say `warning:` after the place.
+        click.echo(f"{message}" if ": warning: " in str(message) else f"warning: {message}", err=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("default")
@@ -183,12 +234,22 @@ def _errors() -> Iterator[None]:
         try:
             yield
         except SceneFilesError as error:
+            count = f"\nnothing was compared: {len(error.messages)} of {error.files} files are wrong"
+            raise CommandError(str(error) + count * (error.files > 1)) from error
+        except InputError as error:
             raise CommandError(str(error)) from error
+        except RendererError as error:
+            raise CommandError(str(error), "", FAILED) from error
+        except BrokenPipeError:
+            raise
         except UnknownRendererError as error:
             raise CommandError(str(error), error.hint) from error
         except OSError as error:
-            place = f"{error.filename}: " if error.filename else ""
-            raise CommandError(f"{place}{error.strerror or error}") from error
+            if error.errno and error.filename is None:
+                raise  # standard output: files have names
+            place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
+            hint = "name a file in another folder" if isinstance(error, PermissionError) else ""
+            raise CommandError(f"{place}{error.strerror or error}", hint) from error
 
 
 def _settings(options: Mapping[str, Any]) -> Settings:
@@ -202,7 +263,24 @@ def _load(path: Path, *, no_limits: bool) -> Scene:
 
     if path.is_dir():
         raise SceneFilesError([f"{path}: error: this is a folder, expected a scene file"])
-    return load_scenes([path], limits=not no_limits)[str(path)]
+    (scene,) = load_scenes([path], limits=not no_limits).values()
+    return scene
+
+
+def _check_size(size: tuple[int, int] | None, *, no_limits: bool) -> None:
+    if size and not no_limits and max(size) > LONGEST_SIDE:
+        message = f"--size {size[0]}x{size[1]}: at most {LONGEST_SIDE} columns and rows"
+        raise CommandError(message, "--no-limits allows more")
+
+
+def _check_pairs(tested: Sequence[str], references: Sequence[str]) -> None:
+    """Whether there is anything to compare."""
+    from validation import renderers
+
+    names = {renderers.get(name).name for name in (*tested, *references)}
+    if len(names) == 1:
+        hint = "--against with another name; see `whitted renderers`"
+        raise CommandError(f"a renderer is not compared with itself: {names.pop()}", hint)
 
 
 def _pass_names(asked: Sequence[str]) -> None:
@@ -220,23 +298,49 @@ def _usable(name: str) -> Renderer:
     from validation import renderers
 
     renderer = renderers.get(name)
-    if reason := renderer.unavailable():
+    with _blaming(renderer):
+        reason = renderer.unavailable()
+    if reason:
         raise CommandError(f"{renderer.name} cannot run here: {reason}", "see `whitted renderers`", FAILED)
     return renderer
 
 
+@contextmanager
+def _blaming(renderer: Renderer) -> Iterator[None]:
+    """What a renderer raises is said with its name."""
+    from validation.run import RendererError, blaming
+
+    try:
+        with blaming():
+            yield
+    except RendererError as error:
+        raise CommandError(f"{renderer.name} {error}", "", FAILED) from error
+
+
 def _parent(path: Path) -> None:
     """An output that cannot be written is said before the work, not after it."""
+    if str(path) == "-":
+        raise CommandError("'-' is not the name of a file to write", "name a file; /dev/stdout is standard output")
     if path.is_dir():
         raise CommandError(f"{path} is a folder, expected the name of a file")
     if not path.parent.is_dir():
         raise CommandError(f"{path}: there is no folder {path.parent}", f"mkdir -p {shlex.quote(str(path.parent))}")
+    if path.exists() and not path.is_file():  # a pipe or a device
+        if not os.access(path, os.W_OK):
+            raise CommandError(f"{path}: cannot be written", "name another file")
+        return
+    try:
+        # The permission bits do not say it all, and the file behind a link is replaced.
+        with tempfile.TemporaryFile(dir=Path(os.path.realpath(path)).parent):
+            pass
+    except OSError as error:
+        raise CommandError(f"{path}: {error.strerror or error}", "name a file in another folder") from error
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(importlib.metadata.version("whitted"), message="%(prog)s %(version)s")
 def whitted() -> None:
-    """Draw a scene with several renderers, compare them pass by pass, and say where and why they differ."""
+    """Draw a scene with several renderers, compare them pass by pass, and say where they differ."""
 
 
 @whitted.command()
@@ -248,7 +352,7 @@ def whitted() -> None:
 @settings_options
 @click.option("--report", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write DIR/index.html.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
-@click.option("-v", "--verbose", is_flag=True, help="A row for every pass, not for failing ones alone.")
+@click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
 @click.pass_context
 def validate(
     ctx: click.Context,
@@ -276,14 +380,20 @@ def validate(
         _pass_names(passes or ())
         for name in (*renderer, *against):
             renderers.get(name)
+        _check_pairs(renderer, against)
+        _check_size(size, no_limits=options["no_limits"])
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if json_file:
             _parent(json_file)
         page = None
         if report:
-            from validation.report.report import Report
+            from validation.report.report import Report, ours
 
             report.mkdir(parents=True, exist_ok=True)
+            place = report / "index.html"
+            _parent(place)
+            if not ours(place):
+                raise CommandError(f"{place} is no report of whitted", "name another folder, or remove that file")
             page = Report()
         with _progress() as progress:
             result = run(
@@ -293,6 +403,7 @@ def validate(
                 passes=passes,
                 size=size,
                 settings=_settings(options),
+                limits=not options["no_limits"],
                 on_rendered=page.add if page else None,
                 progress=progress,
             )
@@ -396,20 +507,24 @@ def render(
     from fnmatch import fnmatchcase
 
     from tracer.passes import names
-    from validation.run import resized
+    from validation.run import draw, resized
 
     ending = output.suffix.lower()
     with _errors():
         if ending not in (*PASS_FILES, *IMAGES):
             raise CommandError(f"unknown file ending '{ending}' of {output}", "expected .exr, .npz, .png or .ppm")
         _parent(output)
+        _check_size(size, no_limits=options["no_limits"])
         loaded = _load(scene, no_limits=options["no_limits"])
         program = _usable(renderer)
         settings = _settings(options)
-        loaded = resized(loaded, size) if size else loaded
-        delivers = program.passes(loaded, settings)
+        loaded = resized(loaded, size, limits=False) if size else loaded
+        with _blaming(program):
+            delivers = tuple(program.passes(loaded, settings))
         if not delivers:
-            raise CommandError(f"{program.name} cannot carry the scene {scene}", "see `whitted renderers`", FAILED)
+            refusal = getattr(program, "refusal", None)
+            why = f": {refusal(loaded)}" if refusal else ""
+            raise CommandError(f"{program.name} cannot carry the scene {scene}{why}", "see `whitted renderers`", FAILED)
         picture = ending in IMAGES
         wanted = passes or (("beauty",) if picture else delivers)
         for name in wanted:
@@ -420,12 +535,11 @@ def render(
             raise CommandError(f"{scene} has none of the passes {', '.join(wanted)}", f"it has {', '.join(delivers)}")
         if picture and "beauty" not in chosen:
             raise CommandError(f"{output} would hold the pass 'beauty', which is not asked for", "write .exr or .npz")
-        try:
-            drawn = program.render(loaded, tuple(chosen), settings)
-        except Exception as error:  # whatever a renderer raises is its failure
-            raise CommandError(f"{program.name} failed: {type(error).__name__}: {error}", "", FAILED) from error
+        with _blaming(program):
+            drawn = draw(program, "<stdin>" if str(scene) == "-" else str(scene), loaded, chosen, settings)
+            versions = dict(program.versions())
         drawn.metadata |= {"renderer": program.name, "scene": loaded.text(), "command": shlex.join(_command())}
-        drawn.metadata |= {f"version of {key}": value for key, value in program.versions().items()}
+        drawn.metadata |= {f"version of {key}": value for key, value in versions.items()}
         drawn.save(output)
 
 
@@ -440,7 +554,7 @@ def _refuse(name: str, program: str, delivers: Sequence[str], known: Sequence[st
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--to", "target", type=click.Choice(["mitsuba"]), required=True, help="The other program.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE")
-@click.option("--sample", type=click.Choice(["corner", "center", "bottom-left", "inclusive"]), default="corner")
+@click.option("--sample", type=click.Choice(SAMPLES), default="corner", show_default=True)
 @click.option("--max-reflections", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N")
 @click.option("--light", type=click.IntRange(0), metavar="I", help="Only light I, from 0; default: all.")
 @click.option("--stock-only", is_flag=True, help="Refuse a scene that needs plugins which Mitsuba does not come with.")
@@ -468,7 +582,8 @@ def convert(
         try:
             write_xml(loaded, output, **options)
         except StockError as error:
-            raise CommandError(f"{scene}: {error}", "without --stock-only the file uses plugins of ours") from error
+            message = str(error).replace("light=INDEX", "--light INDEX")
+            raise CommandError(f"{scene}: {message}", "without --stock-only the file uses plugins of ours") from error
 
 
 @whitted.command()
@@ -493,9 +608,13 @@ def compare(
 
     Exit status: 0 equal, 1 different, 2 the input or the command is wrong.
     """
+    from fnmatch import fnmatchcase
+
     from validation.compare import compare_plain
 
     with _errors():
+        if json_file:
+            _parent(json_file)
         first, second = _read(a), _read(b)
         images = [path.suffix.lower() in IMAGES for path in (a, b)]
         if images[0] != images[1]:
@@ -504,21 +623,25 @@ def compare(
         both = [name for name in first if name in second]
         for name in passes or ():
             for path, side in ((a, first), (b, second)):
-                if name not in side:
+                if not any(fnmatchcase(have, name) for have in side):
                     _refuse(name, str(path), list(side), [*first, *second])
         if not both:
             raise CommandError(f"{a} and {b} have no pass in common", f"{', '.join(first)} and {', '.join(second)}")
+        chosen = [name for name in both if not passes or any(fnmatchcase(name, wanted) for wanted in passes)]
+        if not chosen:
+            raise CommandError(f"{a} and {b} have none of {', '.join(passes or ())} in common", f"{', '.join(both)}")
         labels = {"renderer": str(a), "reference": str(b)}
-        found = [
-            compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in passes or both
-        ]
+        found = [compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in chosen]
         equal = all(comparison.ok for comparison in found)
-        print_comparisons(found)
+        if first.shape == second.shape:
+            print_comparisons(found, levels=images[0])
+        else:
+            sizes = [f"{path} is {side.shape[1]}x{side.shape[0]}" for path, side in ((a, first), (b, second))]
+            click.echo(f"DIFFERENT: {', '.join(sizes)} pixels: no pixel was compared")
         alone = [name for name in [*first, *second] if name not in both]
         if alone and not passes:
             click.echo(f"note: only in one of the two, not compared: {', '.join(alone)}")
         if json_file:
-            _parent(json_file)
             record = {"ok": equal, "comparisons": [comparison.record() for comparison in found]}
             _write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
     ctx.exit(0 if equal else DIFFERENT)
@@ -538,6 +661,9 @@ def _read(path: Path) -> Passes:
             raise CommandError(f"{path}: unknown file ending '{ending}'", "expected .exr, .npz, .png or .ppm")
         from PIL import Image
 
+        if (deep := _bits(path)) > 8:
+            hint = "compare float files (.exr, .npz), or convert it to 8 bits"
+            raise CommandError(f"{path}: an image of {deep} bits a channel, expected 8", hint)
         with Image.open(path) as image:
             if image.mode not in ("RGB", "RGBA", "L", "P", "1", "LA"):
                 raise CommandError(f"{path}: an image of mode {image.mode}, expected 8 bits a channel")
@@ -551,6 +677,18 @@ def _read(path: Path) -> Passes:
         raise CommandError(text if str(path) in text else f"{path}: {text}") from error
     except OSError as error:
         raise CommandError(f"{path}: {error.strerror or 'not a readable image'}") from error
+
+
+def _bits(path: Path) -> int:
+    """Bits a channel of a PNG or PPM file, which Pillow would reduce to 8 without a word; 0: neither."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        return head[24] if len(head) > 24 else 0
+    words = re.sub(rb"#[^\n]*", b"", head).split(maxsplit=4)
+    if len(words) > 3 and re.fullmatch(rb"P[2356]", words[0]) and words[3].isdigit():
+        return int(words[3][:9]).bit_length()
+    return 0
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -49,7 +49,8 @@ class Comparison:
     """One pass of one scene, drawn by a renderer and by a reference.
 
     `max`, `rmse`, `p999` are over all compared pixels, None where nothing could be compared. `interior` and `edge`
-    count compared pixels, the `_over` those of them over tolerance. `ratio` is error over tolerance of the interior
+    count compared pixels, the `_over` those of them over tolerance; an edge pixel without a finite tolerance is over
+    when its error exceeds every tolerance of the interior. `ratio` is error over tolerance of the interior
     pixel that comes nearest to its tolerance, or of the largest error among those over; `tolerance` is the tolerance
     there. `worst` is that pixel when it is over, else the largest error of all.
     """
@@ -221,7 +222,7 @@ def compare_passes(
             for reason in _structure(label, side, name, (rows, columns))
         ]
         if reasons:
-            yield _with(blank, reasons=tuple(reasons))
+            yield replace(blank, reasons=tuple(reasons))
             continue
         row = lookup(name)
         tolerance, edge = judge.tolerance(name), judge.edge(name)
@@ -252,16 +253,12 @@ def compare_plain(
         for reason in _structure(label, side, name, (rows, columns))
     ]
     if reasons:
-        return _with(blank, reasons=tuple(reasons))
+        return replace(blank, reasons=tuple(reasons))
     for label, side in ((labels["renderer"], a), (labels["reference"], b)):
         reasons += _not_a_number(label, side[name])
     every = np.ones((rows, columns), dtype=bool)
     maps = Maps(np.zeros(every.shape), np.full(every.shape, tolerance), every, ~every)
     return _measure(blank, a[name], b[name], lookup(name), maps, reasons, visual=visual)
-
-
-def _with(comparison: Comparison, **changes: Any) -> Comparison:
-    return Comparison(**{**vars(comparison), **changes})
 
 
 def _fits(side: Passes, name: str, shape: tuple[int, int]) -> bool:
@@ -334,7 +331,9 @@ def _measure(
             error = np.sqrt(np.square(differences).sum(axis=-1))
     compared, tolerance = maps.compared, maps.tolerance
     interior, edge = compared & ~maps.edge, compared & maps.edge
-    over = ~(error <= tolerance)
+    # An edge pixel without a bound of its own is held to the largest bound of the interior; so it counts, not excused.
+    unbounded = edge & ~np.isfinite(tolerance)
+    over = ~(error <= np.where(unbounded, tolerance[interior].max(initial=0.0), tolerance))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratios = np.where(error == 0, 0.0, error / tolerance)
     ratios = np.where(interior, ratios, -1.0)
@@ -346,7 +345,7 @@ def _measure(
         y, x = int(nearest[0]), int(nearest[1])
         reasons.append(
             f"{interior_over} of {int(interior.sum())} interior pixels over tolerance: "
-            f"{error[y, x]:.3g} at x {x}, y {y} where {tolerance[y, x]:.3g} is allowed"
+            f"{error[y, x]:.3g} where {tolerance[y, x]:.3g} is allowed"
         )
         place = nearest
     else:
@@ -374,4 +373,4 @@ def _measure(
         changes["levels"] = metrics.levels(a, b)
         changes["psnr"] = metrics.psnr(a, b)
         changes["ciede2000"] = metrics.ciede2000(a, b)
-    return _with(blank, reasons=tuple(reasons), **changes)
+    return replace(blank, reasons=tuple(reasons), **changes)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase as fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import tracer
 import tracer.margins
@@ -20,11 +22,15 @@ from validation.renderers import Renderer, Settings
 
 if TYPE_CHECKING:
     from tracer import Scene
+    from tracer.margins import Analysis
 
 #: Packages whose version goes into every result.
 PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr")
 
-#: The margins hold every ray of an image at once; a larger scene is compared at a smaller size.
+#: As a path it stands for standard input.
+STDIN = Path("-")
+
+#: A larger scene is compared at a smaller size: 4 million pixels take the margins 2 GB and most of a minute.
 ANALYSIS_MAX_PIXELS = 4_000_000
 
 
@@ -59,6 +65,8 @@ class Validation:
     failures: list[Note] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     command: Sequence[str] = ()
+    #: How many of the failures are faults of a scene or a size, not of a renderer.
+    wrong_input: int = 0
 
     @property
     def ok(self) -> bool:
@@ -67,8 +75,14 @@ class Validation:
 
     @property
     def status(self) -> int:
-        """The exit status: 0 all agree, 1 some differ, 3 a renderer failed or nothing could be compared."""
-        if self.failures or not self.comparisons:
+        """The exit status: 0 all agree, 1 some differ, 2 a scene or a size is wrong, 3 a renderer failed or nothing
+        could be compared.
+        """
+        if len(self.failures) > self.wrong_input:
+            return 3
+        if self.failures:
+            return 2
+        if not self.comparisons:
             return 3
         return 0 if all(comparison.ok for comparison in self.comparisons) else 1
 
@@ -90,10 +104,59 @@ class Validation:
 class SceneFilesError(ValueError):
     """Scenes that could not be read: all of them, each with everything that is wrong with it."""
 
-    def __init__(self, messages: Sequence[str]) -> None:
-        """`messages` are complete, with file, line and hint."""
+    def __init__(self, messages: Sequence[str], files: int = 0) -> None:
+        """`messages` are complete, with file, line and hint; `files`: how many there were to read, if it is known."""
         super().__init__("\n".join(messages))
         self.messages = tuple(messages)
+        self.files = files
+
+
+class InputError(ValueError):
+    """A scene or a size that a renderer cannot be asked to draw: complete messages."""
+
+
+class RendererError(RuntimeError):
+    """A renderer did what no renderer may do; the text says what, without its name."""
+
+
+@contextmanager
+def blaming() -> Iterator[None]:
+    """Whatever a renderer raises is its failure, even if it wants to end the program.
+
+    Raises:
+        RendererError: it raised something.
+    """
+    try:
+        yield
+    except (InputError, RendererError):
+        raise
+    except (Exception, SystemExit) as error:
+        raise RendererError(f"failed: {type(error).__name__}: {error}") from error
+
+
+def draw(renderer: Renderer, label: str, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+    """What a renderer draws of a scene, whose file or name is `label`.
+
+    Raises:
+        InputError: the scene has numbers that it cannot carry, or the size is too large for the memory.
+        RendererError: it failed.
+    """
+    with blaming():
+        try:
+            drawn = renderer.render(scene, tuple(passes), settings)
+        except tracer.SceneError as error:
+            # Without the place: the error is about a Scene, the user knows a file.
+            entries = [f"{label}: error: {e.message}" + f"\n  hint: {e.hint}" * bool(e.hint) for e in error.errors]
+            raise InputError("\n".join(entries) or f"{label}: error: {error}") from error
+        except MemoryError as error:
+            size = f"{scene.view.columns}x{scene.view.rows}"
+            reason = str(error) or f"not enough memory for {size} pixels"
+            raise InputError(
+                f"{label}: error: {renderer.name}: {reason}\n  hint: a smaller --size, or fewer --passes"
+            ) from error
+    if not isinstance(drawn, Passes):
+        raise RendererError(f"failed: it returned {type(drawn).__name__}, expected Passes")
+    return drawn
 
 
 def scene_files(paths: Iterable[str | Path]) -> list[Path]:
@@ -110,7 +173,7 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
             files += found
             if not found:
                 wrong.append(f"{path}: error: no scene in this folder\n  hint: scenes are files that end in .txt")
-        elif path.exists():
+        elif path.exists() or path == STDIN:
             files.append(path)
         else:
             wrong.append(f"{path}: error: no such file or folder")
@@ -120,22 +183,26 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str, Scene]:
-    """Every scene of these files and folders by its path.
+    """Every scene of these files and folders by its path; `-` is standard input.
 
     Raises:
         SceneFilesError: with the errors of all files.
     """
     scenes: dict[str, Scene] = {}
     wrong: list[str] = []
-    for path in scene_files(paths):
+    files = scene_files(paths)
+    for path in files:
         try:
-            scenes[str(path)] = tracer.load(path, limits=limits)
+            if path == STDIN:
+                scenes["<stdin>"] = tracer.loads(sys.stdin.buffer.read(), limits=limits, source="<stdin>")
+            else:
+                scenes[str(path)] = tracer.load(path, limits=limits)
         except tracer.SceneError as error:
             wrong.append(str(error))
         except OSError as error:
             wrong.append(f"{path}: error: {error.strerror or error}")
     if wrong:
-        raise SceneFilesError(wrong)
+        raise SceneFilesError(wrong, len(files))
     return scenes
 
 
@@ -149,7 +216,12 @@ def versions(used: Iterable[Renderer]) -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     for renderer in used:
-        for key, value in renderer.versions().items():
+        try:
+            with blaming():
+                entries = dict(renderer.versions())
+        except RendererError as error:
+            entries = {renderer.name: str(error)}
+        for key, value in entries.items():
             # Two variants of one program may differ in the same entry; each then carries its name.
             found[key if found.get(key, value) == value else f"{renderer.name}: {key}"] = value
     return found
@@ -165,11 +237,15 @@ def shrink(columns: int, rows: int, pixels: int) -> tuple[int, int]:
     return min(small[0], max(1, pixels // small[1])), min(small[1], max(1, pixels // small[0]))
 
 
-def resized(scene: Scene, size: tuple[int, int]) -> Scene:
-    """The same scene with that many columns and rows."""
+def resized(scene: Scene, size: tuple[int, int], *, limits: bool | None = None) -> Scene:
+    """The same scene with that many columns and rows; `limits` None: those that it keeps itself.
+
+    Raises:
+        SceneError: the size is beyond the limits.
+    """
     if (scene.view.columns, scene.view.rows) == size:
         return scene
-    return scene.replace(view=scene.view.replace(columns=size[0], rows=size[1]))
+    return scene.replace(view=scene.view.replace(columns=size[0], rows=size[1]), limits=limits)
 
 
 def validate(
@@ -187,12 +263,14 @@ def validate(
     """Draw every scene with every renderer and every reference, and compare each pair pass by pass.
 
     `scenes`: Scene objects by name, or paths of files and folders. `passes`: None compares all that both have; one
-    asked for that a renderer lacks is a failure. `size`: instead of the scene's own.
+    asked for that a renderer lacks is a failure. `size`: instead of the scene's own. Passes that a renderer cannot draw
+    in time at this size are compared at a smaller one, and a note says so.
 
     Raises:
         SceneFilesError: a scene cannot be read.
         renderers.UnknownRendererError: no renderer has that name.
         ValueError: no pass has that name.
+        SceneError: the size is beyond the limits.
     """
     settings = settings or Settings()
     check_passes(passes or ())
@@ -202,7 +280,12 @@ def validate(
     result = Validation(settings, versions=versions(dict.fromkeys([*tested, *references])))
     usable = {}
     for candidate in dict.fromkeys([*tested, *references]):
-        usable[candidate.name] = (reason := candidate.unavailable()) is None
+        try:
+            with blaming():
+                reason = candidate.unavailable()
+        except RendererError as error:
+            reason = str(error)
+        usable[candidate.name] = reason is None
         if reason is not None:
             result.failures.append(Note("", candidate.name, reason))
     pairs = [
@@ -213,12 +296,15 @@ def validate(
     ]
     for label, scene in scenes.items():
         drawn: dict[tuple[str, tuple[int, int]], Passes | None] = {}
-        analyses: dict[tuple[int, int], Any] = {}
-        at_size = resized(scene, size) if size else scene
+        analyses: dict[tuple[int, int], Analysis] = {}
+        at_size = resized(scene, size, limits=None if limits else False) if size else scene
         for first, second in pairs:
             if progress:
                 progress(f"{label}: {first.name} against {second.name}")
-            _pair(result, label, at_size, first, second, passes, drawn, analyses, on_rendered)
+            try:
+                _pair(result, label, at_size, first, second, passes, drawn, analyses, on_rendered)
+            except _PairError as error:
+                _failed(result, error.note)
     return result
 
 
@@ -237,6 +323,30 @@ def _renderers(asked: str | Renderer | Sequence[str | Renderer]) -> list[Rendere
     return [renderers.get(entry) if isinstance(entry, str) else entry for entry in several]
 
 
+class _PairError(Exception):
+    """What keeps a pair from being compared."""
+
+    def __init__(self, note: Note) -> None:
+        super().__init__(note.message)
+        self.note = note
+
+
+def _failed(result: Validation, note: Note) -> None:
+    # A renderer of several pairs fails the same way in each.
+    if note not in result.failures:
+        result.failures.append(note)
+
+
+@contextmanager
+def _of(label: str, renderer: Renderer) -> Iterator[None]:
+    """What a renderer raises ends the pair."""
+    try:
+        with blaming():
+            yield
+    except RendererError as error:
+        raise _PairError(Note(label, renderer.name, str(error))) from error
+
+
 def _pair(
     result: Validation,
     label: str,
@@ -245,24 +355,27 @@ def _pair(
     second: Renderer,
     passes: Sequence[str] | None,
     drawn: dict[tuple[str, tuple[int, int]], Passes | None],
-    analyses: dict[tuple[int, int], Any],
+    analyses: dict[tuple[int, int], Analysis],
     on_rendered: Callable[[Rendered], None] | None,
 ) -> None:
     """Compare one pair on one scene; what is drawn once is kept for the next pair."""
     settings = result.settings
-    every = names(len(scene.lights), settings.max_reflections)
-    asked = [
-        name
-        for name in every
-        if lookup(name).quantity != "margin" and (passes is None or any(fnmatch(name, wanted) for wanted in passes))
-    ]
-    delivers = {side.name: side.passes(scene, settings) for side in (first, second)}
+    every = names(len(scene.lights), settings.max_reflections, margins=False)
+    asked = [name for name in every if passes is None or any(fnmatch(name, wanted) for wanted in passes)]
+    delivers: dict[str, Sequence[str]] = {}
     for side in (first, second):
+        with _of(label, side):
+            delivers[side.name] = tuple(side.passes(scene, settings))
         if not delivers[side.name]:
-            result.notes.append(Note(label, side.name, "cannot carry this scene: not compared"))
+            # Not part of what a renderer must have: one that refuses nothing needs no reason.
+            refusal = getattr(side, "refusal", None)
+            why = f" ({refusal(scene)})" if refusal else ""
+            result.notes.append(Note(label, side.name, f"cannot carry this scene{why}: not compared"))
             return
     # The same for every pair, so that what is drawn for one serves the next.
-    draw = {side: [name for name in dict.fromkeys([*asked, "id"]) if name in have] for side, have in delivers.items()}
+    drawing_of = {
+        side: [name for name in dict.fromkeys([*asked, "id"]) if name in have] for side, have in delivers.items()
+    }
     pair = f"{first.name} against {second.name}"
     missing = [name for name in asked if not all(name in have for have in delivers.values())]
     if missing and passes is None:
@@ -272,16 +385,67 @@ def _pair(
         result.notes.append(Note(label, pair, "not compared: the scene has none of the passes asked for"))
         return
     columns, rows = scene.view.columns, scene.view.rows
-    limits = {side.name: side.max_pixels(scene, draw[side.name]) for side in (first, second)}
-    limits["the analysis of edges"] = ANALYSIS_MAX_PIXELS
-    slowest, most = min(
-        ((name, limit) for name, limit in limits.items() if limit is not None), key=lambda entry: entry[1]
-    )
-    at = shrink(columns, rows, most)
-    if at != (columns, rows):
-        message = f"drawn at {at[0]}x{at[1]} instead of {columns}x{rows}: {slowest} would take too long"
+    large = shrink(columns, rows, ANALYSIS_MAX_PIXELS)
+    if large != (columns, rows):
+        message = (
+            f"compared at {large[0]}x{large[1]} instead of {columns}x{rows}: finding the edges would take too long"
+        )
         result.notes.append(Note(label, pair, message))
-    scene = resized(scene, at)
+    scene = resized(scene, large)
+    # Where a renderer takes too long, what it draws in time keeps its size, and only the rest is drawn smaller.
+    quick = {}
+    for side in (first, second):
+        with _of(label, side):
+            quick[side.name] = _in_time(side, scene, drawing_of[side.name])
+    whole = [name for name in asked if all(name in quick[side] or name not in drawing_of[side] for side in drawing_of)]
+    rest = [name for name in asked if name not in whole]
+    rounds = [(large, whole, quick)] if whole else []
+    if rest:
+        limits: dict[str, int | None] = {}
+        for side in (first, second):
+            with _of(label, side):
+                limits[side.name] = side.max_pixels(scene, drawing_of[side.name])
+        most, slowest = min((limit, name) for name, limit in limits.items() if limit is not None)
+        small = shrink(*large, most)
+        what = f"{', '.join(rest)} " if whole else ""
+        message = f"{what}drawn at {small[0]}x{small[1]} instead of {columns}x{rows}: {slowest} would take too long"
+        result.notes.append(Note(label, pair, message))
+        rounds.append((small, rest, drawing_of))
+    for size, compared, drawing in rounds:
+        _compare(result, label, resized(scene, size), first, second, compared, drawing, drawn, analyses, on_rendered)
+
+
+def _in_time(side: Renderer, scene: Scene, passes: Sequence[str]) -> list[str]:
+    """Of these passes those that a renderer draws in time, all together, at the size of the scene."""
+
+    def fits(some: Sequence[str]) -> bool:
+        limit = side.max_pixels(scene, some)
+        return limit is None or limit >= scene.view.columns * scene.view.rows
+
+    if fits(passes):
+        return list(passes)
+    # `id` first: it says where there is something to compare.
+    chosen: list[str] = []
+    for name in sorted(passes, key=lambda name: name != "id"):
+        if fits([*chosen, name]):
+            chosen.append(name)
+    return chosen if "id" in chosen else []
+
+
+def _compare(
+    result: Validation,
+    label: str,
+    scene: Scene,
+    first: Renderer,
+    second: Renderer,
+    passes: Sequence[str],
+    draw: Mapping[str, Sequence[str]],
+    drawn: dict[tuple[str, tuple[int, int]], Passes | None],
+    analyses: dict[tuple[int, int], Analysis],
+    on_rendered: Callable[[Rendered], None] | None,
+) -> None:
+    """Compare passes of one pair at the size of the scene; `draw`: what either draws at this size."""
+    settings, at = result.settings, (scene.view.columns, scene.view.rows)
     for side in (first, second):
         if (side.name, at) not in drawn:
             drawn[side.name, at] = _draw(result, label, scene, side, draw[side.name])
@@ -296,14 +460,12 @@ def _pair(
             max_reflections=settings.max_reflections,
         )
     analysis = analyses[at]
-    judge = Judge(
-        scene,
-        settings,
-        analysis,
-        first.uncertainty(scene, settings, analysis),
-        second.uncertainty(scene, settings, analysis),
-    )
-    found = list(compare_passes(a, b, asked, judge, scene=label, renderer=first.name, reference=second.name))
+    claims = []
+    for side in (first, second):
+        with _of(label, side):
+            claims.append(side.uncertainty(scene, settings, analysis))
+    judge = Judge(scene, settings, analysis, *claims)
+    found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
     if on_rendered:
         on_rendered(Rendered(scene, label, settings, a, b, found))
     result.comparisons += [replace(comparison, maps=None) for comparison in found]
@@ -311,7 +473,10 @@ def _pair(
 
 def _draw(result: Validation, label: str, scene: Scene, side: Renderer, wanted: Sequence[str]) -> Passes | None:
     try:
-        return side.render(scene, tuple(wanted), result.settings)
-    except Exception as error:  # whatever a renderer raises is its failure, and the others go on
-        result.failures.append(Note(label, side.name, f"failed: {type(error).__name__}: {error}"))
-        return None
+        return draw(side, label, scene, wanted, result.settings)
+    except RendererError as error:  # the others go on
+        _failed(result, Note(label, side.name, str(error)))
+    except InputError as error:
+        result.wrong_input += 1
+        _failed(result, Note("", "", str(error)))
+    return None

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
     from validation.run import Validation
 
 
+#: A terminal of fewer columns gets a smaller table.
+NARROW = 100
+
+#: How the reason begins that Judge.edge_cap gives.
+EDGES = "too many edge pixels"
+
+
 def complain(message: str, hint: str = "") -> None:
     """A sentence on stderr, and what to do."""
     click.echo(message + (f"\n  hint: {hint}" if hint else ""), err=True)
@@ -28,9 +36,13 @@ def console(*, stderr: bool = False) -> Console:
     """Where tables go."""
     from rich.console import Console
 
+    class Out(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # Rich's own way out is status 1
+
     # A file or a pipe has no width of its own; 80 would break names.
     wide = None if (sys.stderr if stderr else sys.stdout).isatty() else 160
-    return Console(stderr=stderr, highlight=False, width=wide)
+    return Out(stderr=stderr, highlight=False, width=wide)
 
 
 def colorful() -> bool:
@@ -55,30 +67,55 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
     pairs: dict[tuple[str, str], dict[str, list[Comparison]]] = {}
     for comparison in result.comparisons:
         scenes = pairs.setdefault((comparison.renderer, comparison.reference), {})
-        scenes.setdefault(comparison.scene, []).append(comparison)
+        at_size = f"{comparison.scene} {comparison.size[0]}x{comparison.size[1]}"
+        scenes.setdefault(at_size, []).append(comparison)
     for (renderer, reference), scenes in pairs.items():
         out.print(f"{renderer} against {reference}", style="bold", markup=False)
-        out.print(_table(scenes, verbose=verbose))
+        out.print(_table(scenes, verbose=verbose, narrow=out.width < NARROW))
         out.print()
-    for comparison in result.comparisons:
-        if not comparison.ok:
-            where = f"{comparison.scene}: {comparison.pass_name} ({comparison.renderer}, {comparison.reference})"
-            click.secho(f"{where}: {'; '.join(comparison.reasons)}{_worst(comparison)}", fg="red", color=colorful())
+    for alike in _alike(comparison for comparison in result.comparisons if not comparison.ok):
+        most = max(alike, key=lambda comparison: comparison.edge)
+        names = ", ".join(comparison.pass_name for comparison in alike)
+        where = f"{most.scene}: {names} ({most.renderer}, {most.reference})"
+        worst = _worst(most) if len(alike) == 1 else ""
+        click.secho(f"{where}: {'; '.join(most.reasons)}{worst}", fg="red", color=colorful())
+    undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(EDGES)}
+    if undecided - {"numpy-f64"}:
+        click.echo("  hint: where there are too many edge pixels, --against numpy-f64 may decide more")
     for note in result.notes:
         click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
     if result.comparisons:
         click.echo("interior, edge: pixels over tolerance / all; only interior ones have to agree")
+        click.echo("max error: of all pixels; /tolerance: error over tolerance of interior ones")
     for failure in result.failures:
-        click.echo(f"error: {': '.join(filter(None, vars(failure).values()))}", err=True)
+        text = ": ".join(filter(None, vars(failure).values()))
+        # Those of scene files say `error:` after the place.
+        click.echo(text if ": error: " in text else f"error: {text}", err=True)
     agree = sum(comparison.ok for comparison in result.comparisons)
+    total = f"{agree} of {len(result.comparisons)} comparisons agree" if result.comparisons else "nothing was compared"
+    if not (result.comparisons or result.notes or result.failures):
+        total += ": there is no scene, or no pair of two different renderers"
     click.echo(
-        f"{agree} of {len(result.comparisons)} comparisons agree"
-        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        total + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
     )
 
 
-def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool) -> Table:
-    """A row a scene that agrees, a row for every pass that does not; `verbose`: a row for every pass.
+def _alike(failed: Iterable[Comparison]) -> list[list[Comparison]]:
+    """Passes of one scene and pair that fail for the same reason, whose numbers may differ, together.
+
+    A pass with pixels over tolerance stands alone, as each has a worst pixel of its own.
+    """
+    groups: dict[tuple[object, ...], list[Comparison]] = {}
+    for comparison in failed:
+        own = comparison.pass_name if comparison.interior_over else ""
+        reasons = re.sub(r"\d+", "", "; ".join(comparison.reasons).replace(f"'{comparison.pass_name}'", ""))
+        key = (comparison.scene, comparison.size, comparison.renderer, comparison.reference, own, reasons)
+        groups.setdefault(key, []).append(comparison)
+    return list(groups.values())
+
+
+def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool, narrow: bool = False) -> Table:
+    """A row a scene and size that agrees, a row for every pass that does not; `verbose`: a row for every pass.
 
     `interior` and `edge` count pixels over tolerance of all such pixels.
     """
@@ -86,34 +123,33 @@ def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool) -> Tabl
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("scene", overflow="fold", min_width=16)
-    table.add_column("pass", overflow="fold", min_width=10)
-    for header in ("max error", "/tolerance", "interior", "edge"):
-        table.add_column(header, justify="right", no_wrap=True)
     table.add_column("result", no_wrap=True)
+    table.add_column("pass", overflow="fold", min_width=10)
+    for header in ("/tolerance", "interior") if narrow else ("max error", "/tolerance", "interior", "edge"):
+        table.add_column(header, justify="right", no_wrap=True)
+    short = {scene: scene.rpartition("/")[2] for scene in scenes}
+    shorten = narrow and len(set(short.values())) == len(short)
     for scene, group in scenes.items():
         rows = [(entry.pass_name, entry) for entry in group if verbose or not entry.ok]
         if not rows:
             nearest = max(group, key=lambda entry: entry.ratio or 0)
             rows = [(f"all {len(group)}, worst {nearest.pass_name}", nearest)]
         for place, (label, entry) in enumerate(rows):
-            table.add_row(
-                f"{scene} {entry.size[0]}x{entry.size[1]}" if place == 0 else "",
-                label,
-                number(entry.max),
-                number(entry.ratio),
-                f"{entry.interior_over}/{entry.interior}",
-                f"{entry.edge_over}/{entry.edge}",
-                _verdict(entry.ok),
-            )
+            numbers = [number(entry.ratio), f"{entry.interior_over}/{entry.interior}"]
+            if not narrow:
+                numbers = [number(entry.max), *numbers, f"{entry.edge_over}/{entry.edge}"]
+            shown = short[scene] if shorten else scene
+            table.add_row(shown if place == 0 else "", _verdict(entry.ok), label, *numbers)
     return table
 
 
-def _worst(comparison: Comparison) -> str:
+def _worst(comparison: Comparison, *, levels: bool = False) -> str:
     worst = comparison.worst
     if worst is None:
         return ""
     channel = f" {worst.channel}" if worst.channel else ""
-    return f"; worst pixel x {worst.x}, y {worst.y}{channel}: {worst.a!r} and {worst.b!r}"
+    a, b = (f"{value:.0f}" if levels else repr(value) for value in (worst.a, worst.b))
+    return f"; worst pixel x {worst.x}, y {worst.y}{channel}: {a} and {b}"
 
 
 def print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str, str]) -> None:
@@ -139,8 +175,8 @@ def print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str,
         complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}")
 
 
-def print_comparisons(found: Sequence[Comparison]) -> None:
-    """A row for each pass of two files."""
+def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> None:
+    """A row for each pass of two files; `levels`: of two 8-bit images."""
     from rich.table import Table
     from rich.text import Text
 
@@ -154,7 +190,9 @@ def print_comparisons(found: Sequence[Comparison]) -> None:
             verdict = Text("DIFFERENT", style="bold red")
         else:
             verdict = Text("equal" if comparison.max == 0 else "equal within the tolerance", style="green")
-        numbers = (number(value) for value in (comparison.max, comparison.rmse, comparison.p999))
+        numbers = [number(value) for value in (comparison.max, comparison.rmse, comparison.p999)]
+        if levels and comparison.max is not None:
+            numbers[0] = f"{comparison.max:.0f}"
         table.add_row(comparison.pass_name, *numbers, str(comparison.interior_over), verdict)
     console().print(table)
     for comparison in found:
@@ -163,5 +201,7 @@ def print_comparisons(found: Sequence[Comparison]) -> None:
         reasons = [reason for reason in comparison.reasons if structural or "NaN" in reason]
         if not comparison.ok:
             click.echo(
-                f"{comparison.pass_name}: " + "; ".join(reasons) + _worst(comparison).removeprefix("; " * (not reasons))
+                f"{comparison.pass_name}: "
+                + "; ".join(reasons)
+                + _worst(comparison, levels=levels).removeprefix("; " * (not reasons))
             )

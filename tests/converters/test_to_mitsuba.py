@@ -293,6 +293,18 @@ def test_xml_with_our_plugins_says_the_same_as_the_dictionary(tmp_path: Path) ->
     assert np.array_equal(np.array(mi.render(mi.load_file(str(path))))[..., :3], drawn(converter.to_dict(shiny)))
 
 
+def test_the_recipe_at_the_head_of_the_xml_works_as_written(tmp_path: Path) -> None:
+    path = tmp_path / "shiny.xml"
+    shiny = scene(sphere(ks=0.5, kr=0.5), lights=(LAMP,))
+    converter.write_xml(shiny, path, aovs="")
+    (line,) = [line for line in path.read_text().splitlines() if line.startswith("<!-- In Python: ")]
+    recipe = line.removeprefix("<!-- In Python: ").removesuffix(" -->").replace("FILE", str(path))
+    code = f"{recipe}\nimport numpy; numpy.save({str(tmp_path / 'image.npy')!r}, numpy.array(image))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert np.array_equal(np.load(tmp_path / "image.npy")[..., :3], drawn(converter.to_dict(shiny)))
+
+
 def test_both_variants_in_one_process(need: Callable[[object, str], None]) -> None:
     """Plugins belong to the variant; the former one is set again."""
     import mitsuba as mi

@@ -16,7 +16,7 @@ Draw = Callable[[Scene, tuple[str, ...]], Passes]
 
 def all_passes(scene: Scene) -> tuple[str, ...]:
     """Every pass but the margins."""
-    return tuple(name for name in names(len(scene.lights)) if not name.startswith("margin."))
+    return names(len(scene.lights), margins=False)
 
 
 @dataclass

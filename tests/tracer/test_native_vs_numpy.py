@@ -45,7 +45,7 @@ def expected(name: str) -> tuple[Analysis, Passes]:
 
 
 def check(found: Agreement) -> None:
-    """Interior values within tolerance, both sides' errors together; decisions flip at edges only; few edges."""
+    """Interior values within tolerance, both sides' errors together; decisions flip at edges only."""
     assert found.worst <= VALUE_ROUNDINGS, found.where
     assert found.flipped <= EDGE_ROUNDINGS
 
@@ -61,7 +61,12 @@ def test_agreement(name: str, precision: tracer.reference.Precision) -> None:
     analysis, truth = expected(name)
     scene = load(name)
     image = tracer.render(scene, all_passes(scene), precision=precision)
-    check(compare(image, truth, analysis, UNIT["f64"] + UNIT[precision], EDGE_ROUNDINGS))
+    found = compare(image, truth, analysis, UNIT["f64"] + UNIT[precision], EDGE_ROUNDINGS)
+    check(found)
+    # Else margins of 0 would excuse everything. Thin curves, no longer than what encloses the spheres' pictures, have
+    # no more pixels; in float32 the ground's horizon is no thin curve: docs/tolerances.md, section 8.
+    if (name, precision) != ("ground", "f32"):
+        assert found.edges <= analysis.outline + 2 * sum(truth.shape)
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
@@ -70,13 +75,13 @@ def test_agreement_under_other_settings(sample: reference.Sample, bounces: int) 
     settings = {"sample": sample, "shadow_epsilon": 0.01 * bounces, "max_reflections": bounces}
     for name in ("mutual", "eye-inside", "crossing"):
         scene = load(name)
-        names = [p for p in tracer.passes.names(len(scene.lights), bounces) if not p.startswith("margin.")]
+        names = tracer.passes.names(len(scene.lights), bounces, margins=False)
         image, truth = tracer.render(scene, names, **settings), reference.render(scene, names, **settings)
         check(compare(image, truth, analyse(scene, **settings), 2 * UNIT["f64"], EDGE_ROUNDINGS))
 
 
 def test_a_planted_error_is_found() -> None:
-    # A shadow epsilon, a bounce fewer, a light that shines a millionth brighter: each exceeds the tolerance.
+    # A shadow epsilon, a bounce fewer, lights brighter by a part in 10^13: each exceeds the tolerance.
     analysis, truth = expected("eye-inside")
     scene = load("eye-inside")
     for changes in ({"shadow_epsilon": 0.2}, {"max_reflections": 2}, {"sample": "center"}):

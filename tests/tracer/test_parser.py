@@ -35,6 +35,7 @@ BASE = {
     "OUTPUT": "OUTPUT image.ppm",
 }
 REQUIRED = "'NEAR', 'LEFT', 'RIGHT', 'BOTTOM', 'TOP', 'RES', 'BACK', 'AMBIENT' and 'OUTPUT'"
+TEXT = "a scene is text in UTF-8 with lines such as RES 640 480"
 FIELDS = "NEAR, LEFT, RIGHT, BOTTOM, TOP, RES, SPHERE, LIGHT, BACK, AMBIENT, OUTPUT"
 
 
@@ -118,13 +119,14 @@ def test_bad_scene(file: bytes, expected: str) -> None:
         ),
         (
             b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR",
-            f"1:1: error: found '\\x89PNG', expected the name of a field\n  hint: the fields are {FIELDS}\n"
-            f"2:1: error: found '\\x1a', expected the name of a field\n  hint: the fields are {FIELDS}\n"
-            "3:1: error: found '\\x00\\x00\\x00', expected the name of a field\n"
-            "  hint: the file is binary or UTF-16: save it as UTF-8\n"
-            f"4:1: error: found 'IHDR', expected the name of a field\n  hint: the fields are {FIELDS}\n"
-            f"4:5: error: the fields {REQUIRED} are missing, expected once each",
+            f"1:1: error: this is an image (PNG), not a scene\n  hint: {TEXT}",
         ),
+        (b"P6\n2 1\n255\nabcdef", f"1:1: error: this is an image (PPM), not a scene\n  hint: {TEXT}"),
+        (b"P3 2 1 255", f"1:1: error: this is an image (PPM), not a scene\n  hint: {TEXT}"),
+        (b"\xff\xd8\xff\xe0", f"1:1: error: this is an image (JPEG), not a scene\n  hint: {TEXT}"),
+        (b"v/1\x01", f"1:1: error: this is an image (EXR), not a scene\n  hint: {TEXT}"),
+        (b"\x7fELF\x02\x01\x01" + bytes(9), f"1:1: error: this is not a text file\n  hint: {TEXT}"),
+        (base().encode("utf-16-le"), f"1:1: error: this is not a text file\n  hint: {TEXT}"),
         (
             base(TOP="TOP x").replace("\n", "\r").encode(),
             "5:5: error: TOP: found 'x' for 't', expected a number",
@@ -151,6 +153,12 @@ def test_bad_scene(file: bytes, expected: str) -> None:
         "UTF-16 LE",
         "UTF-16 BE",
         "PNG",
+        "PPM",
+        "plain PPM",
+        "JPEG",
+        "EXR",
+        "program",
+        "UTF-16 without BOM",
         "CR",
         "CRLF",
         "Latin-1",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
@@ -25,7 +26,7 @@ from PIL import Image
 
 import tracer
 from tracer import Light, Passes, Scene, Sphere, View
-from tracer.passes import MARGINS, TABLE, lookup, names, quantise, write_beside
+from tracer.passes import MARGINS, TABLE, Precision, lookup, names, quantise, write_beside
 
 
 def scene(columns: int = 21, rows: int = 13) -> Scene:
@@ -43,9 +44,9 @@ def scene(columns: int = 21, rows: int = 13) -> Scene:
     )
 
 
-def every_pass(precision: tracer._render.Precision = "f64") -> Passes:
+def every_pass(precision: Precision = "f64") -> Passes:
     """Of the renderer, and something for the margins."""
-    wanted = [name for name in names(2) if not name.startswith("margin.")]
+    wanted = list(names(2, margins=False))
     made = tracer.render(scene(), wanted, precision=precision)
     generator = np.random.default_rng(1)
     margins = {f"margin.{kind}": generator.exponential(size=made.shape) for kind in MARGINS}
@@ -68,6 +69,7 @@ class TestTable:
             *("reflection.1", "depth", "position", "normal", "id"),
             *("margin.silhouette", "margin.range", "margin.order", "margin.terminator"),
         )
+        assert names(2, 1, margins=False) == names(2, 1)[:-4]
         assert len(TABLE) == 13
 
     def test_lookup_finds_every_name(self) -> None:
@@ -211,7 +213,7 @@ class TestImages:
 
 class TestFiles:
     @pytest.mark.parametrize("precision", ["f64", "f32"])
-    def test_npz_is_lossless(self, tmp_path: Path, precision: tracer._render.Precision) -> None:
+    def test_npz_is_lossless(self, tmp_path: Path, precision: Precision) -> None:
         passes = every_pass(precision)
         passes.save(tmp_path / "x.npz")
         equal(Passes.load(tmp_path / "x.npz"), passes)
@@ -385,6 +387,37 @@ class TestNoHalfFiles:
         with pytest.raises(KeyboardInterrupt):
             fail()
         assert {other.name: other.read_text() for other in tmp_path.iterdir()} == {"x.txt": "before"}
+
+    @pytest.mark.parametrize("place", ["mkstemp", "write"])
+    def test_an_error_names_the_target(self, tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        path = tmp_path / "x.txt"
+
+        def full(*_: object, **__: object) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), None if place == "write" else "/other")
+
+        def write() -> None:
+            with write_beside(path) as temporary:
+                assert temporary.exists()
+                full()
+
+        if place == "mkstemp":
+            monkeypatch.setattr("tempfile.mkstemp", full)
+        with pytest.raises(OSError, match="No space left") as caught:
+            write()
+        assert caught.value.filename == str(path)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_pipe_is_written_and_stays_a_pipe(self, tmp_path: Path) -> None:
+        """So does a device: who runs as root must not lose /dev/null."""
+        path = tmp_path / "pipe"
+        os.mkfifo(path)
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with write_beside(path) as place:
+            place.write_text("words")
+        assert os.read(reader, 100) == b"words"
+        os.close(reader)
+        assert path.is_fifo()
+        assert list(tmp_path.iterdir()) == [path]
 
     def test_readers_see_the_old_file_or_the_new_one(self, tmp_path: Path) -> None:
         path = tmp_path / "x.npz"

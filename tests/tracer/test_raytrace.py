@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import started
 
 import tracer
 from tracer._render import Precision
@@ -307,6 +308,19 @@ class TestMessages:
             "  hint: check the name of the scene file\n"
         )
 
+    @pytest.mark.parametrize("name", ["x.png", "x.JPEG"])
+    def test_a_ppm_under_another_name(self, folder: Path, name: str) -> None:
+        status, out, err = outcome(raytrace("scene.txt", "-o", name, folder=folder))
+        assert (status, out) == (0, b"")
+        assert f"warning: '{name}' becomes a PPM file, whatever {Path(name).suffix.lower()} says\n" in str(err)
+        assert (folder / name).read_bytes().startswith(b"P6")
+
+    def test_a_scene_that_is_there_but_cannot_be_read(self, folder: Path) -> None:
+        """The name is right: no hint to check it. A loop, because root may read any file."""
+        (folder / "loop.txt").symlink_to("loop.txt")
+        text = "error: cannot read 'loop.txt': Too many levels of symbolic links\n"
+        assert outcome(raytrace("loop.txt", folder=folder)) == error(text)
+
     def test_a_full_stdout(self, folder: Path) -> None:
         for arguments in (["--help"], ["--version"], ["scene.txt", "-o", "-"]):
             with Path("/dev/full").open("wb") as full:
@@ -493,61 +507,59 @@ class TestNoHalfFiles:
         """While it renders there is a temporary file beside; what was there before stays until the new one is whole."""
         (folder / "image.ppm").write_bytes(b"before")
         number = getattr(signal, f"SIG{kill}")
-        program = subprocess.Popen([RAYTRACE, "endless.txt", *SLOWLY], cwd=folder, stderr=subprocess.PIPE, env={})
-        wait_for(lambda: len(names(folder)) == 2)
-        start = time.monotonic()
-        program.send_signal(number)
-        _, stderr = program.communicate(timeout=20)
-        assert time.monotonic() - start < 1
-        assert (folder / "image.ppm").read_bytes() == b"before"
-        if kill == "KILL":  # nobody can tidy up then, but the name stays clean
-            assert program.returncode == -number
-        else:
-            assert (program.returncode, stderr) == (128 + number, b"stopped: nothing was written\n")
-            assert names(folder) == {"image.ppm"}
+        with started([RAYTRACE, "endless.txt", *SLOWLY], cwd=folder, stderr=subprocess.PIPE, env={}) as program:
+            wait_for(lambda: len(names(folder)) == 2)
+            program.send_signal(number)
+            _, stderr = program.communicate(timeout=20)
+            assert (folder / "image.ppm").read_bytes() == b"before"
+            if kill == "KILL":  # nobody can tidy up then, but the name stays clean
+                assert program.returncode == -number
+            else:
+                assert (program.returncode, stderr) == (128 + number, b"stopped: nothing was written\n")
+                assert names(folder) == {"image.ppm"}
 
     def test_a_signal_that_is_ignored_stays_ignored(self, folder: Path) -> None:
         """As under nohup."""
         (folder / "large.txt").write_text(EMPTY.format(4000, 4000))
         command = f"trap '' HUP; exec '{RAYTRACE}' large.txt --threads 1"
-        program = subprocess.Popen(["/bin/sh", "-c", command], cwd=folder, env={"WHITTED_ISA": "scalar"})
-        wait_for(lambda: any(name.startswith(".raytrace-") for name in names(folder)))
-        program.send_signal(signal.SIGHUP)
-        assert program.wait(30) == 0
-        assert names(folder) == {"image.ppm", "large.txt"}
+        with started(["/bin/sh", "-c", command], cwd=folder, env={"WHITTED_ISA": "scalar"}) as program:
+            wait_for(lambda: any(name.startswith(".raytrace-") for name in names(folder)))
+            program.send_signal(signal.SIGHUP)
+            assert program.wait(30) == 0
+            assert names(folder) == {"image.ppm", "large.txt"}
 
     @pytest.mark.parametrize("output", ["pipe", "stdout"])
     def test_interrupt_while_nobody_reads(self, folder: Path, output: str) -> None:
         """Waiting for the reader of a pipe ends with the signal, too."""
         (folder / "large.txt").write_text(EMPTY.format(1000, 1000))
         os.mkfifo(folder / "pipe")
-        program = subprocess.Popen(
+        with started(
             [RAYTRACE, "large.txt", "-o", "pipe" if output == "pipe" else "-"],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={},
-        )
-        wait_for(lambda: Path(f"/proc/{program.pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "S")
-        time.sleep(0.05)
-        program.send_signal(signal.SIGINT)
-        assert program.wait(5) == 130
-        assert program.stdout is not None
-        assert program.stderr is not None
-        assert program.stderr.read() == (
-            b"stopped: nothing was written\n" if output == "pipe" else b"stopped: the image is incomplete\n"
-        )
-        program.stdout.close()
-        program.stderr.close()
+        ) as program:
+            wait_for(lambda: Path(f"/proc/{program.pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "S")
+            time.sleep(0.05)
+            program.send_signal(signal.SIGINT)
+            assert program.wait(20) == 130
+            assert program.stdout is not None
+            assert program.stderr is not None
+            assert program.stderr.read() == (
+                b"stopped: nothing was written\n" if output == "pipe" else b"stopped: the image is incomplete\n"
+            )
+            program.stdout.close()
+            program.stderr.close()
 
     def test_interrupt_while_the_scene_is_awaited(self, folder: Path) -> None:
-        program = subprocess.Popen([RAYTRACE, "-"], cwd=folder, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env={})
-        wait_for(lambda: Path(f"/proc/{program.pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "S")
-        program.send_signal(signal.SIGINT)
-        assert program.wait(5) == 130
-        for stream in (program.stdin, program.stderr):
-            assert stream is not None
-            stream.close()
+        with started([RAYTRACE, "-"], cwd=folder, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env={}) as program:
+            wait_for(lambda: Path(f"/proc/{program.pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "S")
+            program.send_signal(signal.SIGINT)
+            assert program.wait(20) == 130
+            for stream in (program.stdin, program.stderr):
+                assert stream is not None
+                stream.close()
 
     def test_a_broken_pipe(self, folder: Path) -> None:
         (folder / "large.txt").write_text(EMPTY.format(1000, 1000))
@@ -581,7 +593,6 @@ class TestNoHalfFiles:
         assert names(folder) == set()
 
     def test_an_image_that_no_disk_holds(self, folder: Path) -> None:
-        start = time.monotonic()
         result = raytrace("-", "--no-limits", folder=folder, stdin=EMPTY.format(1 << 30, 1 << 29).encode())
         text = result.stderr.decode()
         assert (result.returncode, result.stdout) == (2, b"")
@@ -591,7 +602,6 @@ class TestNoHalfFiles:
         assert outcome(result) == error(
             "error: an image of 2147483648 x 2147483648 pixels is larger than any file can be\n  hint: lower RES\n"
         )
-        assert time.monotonic() - start < 1
         assert names(folder) == set()
 
 
@@ -601,15 +611,15 @@ def peak_memory(folder: Path, size: int) -> int:
     Not what wait4 says: that counts the memory of the process that started the program as well.
     """
     (folder / "large.txt").write_text(EMPTY.format(size, size))
-    program = subprocess.Popen([RAYTRACE, "large.txt", "-o", "-"], cwd=folder, stdout=subprocess.PIPE, env={})
-    assert program.stdout is not None
-    left = len(f"P6\n{size} {size}\n255\n") + 3 * size**2
-    while left > 1 << 20:  # more than a pipe holds, so that the program still waits for us
-        left -= len(os.read(program.stdout.fileno(), 1 << 16))
-    status = Path(f"/proc/{program.pid}/status").read_text()
-    assert len(program.communicate(timeout=20)[0]) == left
-    assert program.returncode == 0
-    return 1024 * int(status.split("VmHWM:")[1].split()[0])
+    with started([RAYTRACE, "large.txt", "-o", "-"], cwd=folder, stdout=subprocess.PIPE, env={}) as program:
+        assert program.stdout is not None
+        left = len(f"P6\n{size} {size}\n255\n") + 3 * size**2
+        while left > 1 << 20:  # more than a pipe holds, so that the program still waits for us
+            left -= len(os.read(program.stdout.fileno(), 1 << 16))
+        status = Path(f"/proc/{program.pid}/status").read_text()
+        assert len(program.communicate(timeout=20)[0]) == left
+        assert program.returncode == 0
+        return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
 def test_memory_does_not_grow_with_the_image(folder: Path) -> None:
@@ -623,32 +633,31 @@ class TestProgress:
     def on_a_terminal(self, folder: Path, arguments: list[str], interrupt: bool = False) -> tuple[int, str]:
         """The exit status, and what a terminal as stderr shows."""
         controller, terminal = pty.openpty()
-        program = subprocess.Popen([RAYTRACE, *arguments], cwd=folder, stderr=terminal, stdout=subprocess.PIPE, env={})
-        os.close(terminal)
-        shown = b""
-        while True:
-            ready, _, _ = select.select([controller], [], [], 30)
-            assert ready
-            try:
-                data = os.read(controller, 4096)
-            except OSError:  # the other end is closed
-                break
-            shown += data
-            if interrupt and shown.count(b"rendering") > 2:
-                program.send_signal(signal.SIGINT)
-                interrupt = False
-        os.close(controller)
-        stdout, _ = program.communicate(timeout=20)
-        assert stdout == b""
-        return program.returncode, shown.decode()
+        with started([RAYTRACE, *arguments], cwd=folder, stderr=terminal, stdout=subprocess.PIPE, env={}) as program:
+            os.close(terminal)
+            shown = b""
+            while True:
+                ready, _, _ = select.select([controller], [], [], 30)
+                assert ready
+                try:
+                    data = os.read(controller, 4096)
+                except OSError:  # the other end is closed
+                    break
+                shown += data
+                if interrupt and shown.count(b"rendering") > 2:
+                    program.send_signal(signal.SIGINT)
+                    interrupt = False
+            os.close(controller)
+            stdout, _ = program.communicate(timeout=20)
+            assert stdout == b""
+            return program.returncode, shown.decode()
 
     def test_after_a_second(self, folder: Path) -> None:
         text = ENDLESS.replace("RES 2000 2000", "RES 100 100")
         for columns in (200, 600, 1800, 5400):  # until it takes long enough on this machine
             (folder / "slow.txt").write_text(text.replace("RES 100", f"RES {columns}"))
-            start = time.monotonic()
             code, shown = self.on_a_terminal(folder, ["slow.txt", *SLOWLY])
-            if time.monotonic() - start > 1.2:
+            if shown:
                 break
         assert code == 0
         parts = shown.split("\r")
@@ -672,9 +681,9 @@ class TestProgress:
         assert shown.endswith(" s left \r\x1b[Kstopped: nothing was written\r\n")
 
     def test_only_on_a_terminal(self, folder: Path) -> None:
-        program = subprocess.Popen([RAYTRACE, "endless.txt", *SLOWLY], cwd=folder, stderr=subprocess.PIPE, env={})
-        time.sleep(1.3)
-        assert program.stderr is not None
-        assert select.select([program.stderr], [], [], 0)[0] == []
-        program.terminate()
-        program.communicate()
+        with started([RAYTRACE, "endless.txt", *SLOWLY], cwd=folder, stderr=subprocess.PIPE, env={}) as program:
+            time.sleep(1.3)
+            assert program.stderr is not None
+            assert select.select([program.stderr], [], [], 0)[0] == []
+            program.terminate()
+            program.communicate()

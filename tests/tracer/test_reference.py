@@ -15,14 +15,14 @@ import tracer
 from tracer import Light, Passes, Scene, Sphere, View, reference
 from tracer.passes import SAMPLES, lookup, names, quantise
 
-EVERY = tuple(name for name in names(2) if not name.startswith("margin."))
+EVERY = names(2, margins=False)
 ONE = View(near=1, left=0, right=1, bottom=-1, top=0, columns=1, rows=1)  # its corner ray is (0, 0, -1)
 
 
 def one(spheres: list[Sphere], lights: list[Light], **settings: Any) -> Passes:
     """The pixel of a view whose only ray is the axis."""
     scene = Scene(view=ONE, spheres=spheres, lights=lights, background=(0.1, 0.2, 0.3), ambient=(0.5, 0.25, 0.125))
-    wanted = [name for name in names(len(lights), settings.get("max_reflections", 3)) if "margin" not in name]
+    wanted = names(len(lights), settings.get("max_reflections", 3), margins=False)
     return reference.render(scene, wanted, **settings)
 
 
@@ -104,7 +104,7 @@ def test_float32_stays_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     Watched.seen = 0
     for name in ("eye-inside", "light-on-surface", "mutual", "n-half"):
         scene = zoo.hard()[name]
-        image = reference.render(scene, [p for p in names(len(scene.lights)) if "margin" not in p], precision="f32")
+        image = reference.render(scene, names(len(scene.lights), margins=False), precision="f32")
         assert {image[p].dtype for p in image if p != "id"} == {np.dtype(np.float32)}
         assert image["id"].dtype == np.int32
     assert Watched.seen > 5_000
@@ -394,7 +394,7 @@ def scaled(scene: Scene, factor: float) -> Scene:
 def test_scaling_the_world_by_a_power_of_two_gives_the_same_bits(precision: reference.Precision) -> None:
     for seed in range(10):
         scene = zoo.wild(seed)
-        passes = [name for name in names(3) if "margin" not in name]
+        passes = names(3, margins=False)
         plain = reference.render(scene, passes, precision=precision)
         large = reference.render(scaled(scene, 2.0**12), passes, precision=precision)
         for name in passes:

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 import strategies
 from hypothesis import HealthCheck, given, settings
+from programs import started
 
 from tracer import Scene
 
@@ -160,14 +161,15 @@ def test_extreme_scenes(scene: Scene, run: Run, isas: list[str]) -> None:
         assert precision == "f32" or result.returncode == 0
 
 
-def test_the_command_line(run: Run, tmp_path: Path) -> None:
+def test_the_command_line(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     for arguments in (
         *([], [""], ["-"], ["--"], ["--help"], ["--version"], ["-o"], ["-x"], ["--" + "x" * 5000], ["=", "="]),
         *(["--threads=" + "9" * 500, "-"], ["--shadow-epsilon=" + "0" * 5000, "-"], ["a" * 5000], ["/"], ["-o-", "-"]),
         *(["-", "-o", "/"], ["-", "-o", "no/such/folder"], ["-", "-o", "/dev/full"], ["-", f"-o{tmp_path}/x.ppm"]),
     ):
         run(*arguments, stdin=small(SCENES[0].read_bytes()))
-    assert [path.name for path in tmp_path.iterdir()] == ["x.ppm"]
+    assert {path.name for path in tmp_path.iterdir()} == {"x.ppm", f"{SCENES[0].stem}.ppm"}
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -177,13 +179,13 @@ def test_many_bounces_samples_and_a_signal(program: Path, run: Run, threads: int
         run("-", "-o-", f"--sample={sample}", "--max-reflections=1000", f"--threads={threads}", stdin=small(scene))
     path = tmp_path / "scene.txt"
     path.write_bytes(small(scene, 9000, 9000))
-    process = subprocess.Popen(
+    with started(
         [program, path, "-o", tmp_path / "x.ppm", f"--threads={threads}"], stderr=subprocess.PIPE, env=QUIET
-    )
-    while len(list(tmp_path.iterdir())) < 2:
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(signal.SIGTERM)
-    _, stderr = process.communicate(timeout=60)
-    assert (process.returncode, stderr) == (143, b"stopped: nothing was written\n")
-    assert list(tmp_path.iterdir()) == [path]
+    ) as process:
+        while len(list(tmp_path.iterdir())) < 2:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        _, stderr = process.communicate(timeout=60)
+        assert (process.returncode, stderr) == (143, b"stopped: nothing was written\n")
+        assert list(tmp_path.iterdir()) == [path]

@@ -125,6 +125,7 @@ class Double:
     refuses: bool = False
     absent: str | None = None
     limit: int | None = None
+    quick: Sequence[str] = ()
     rendered: list[tuple[int, int]] = field(default_factory=list)
 
     def version(self) -> str:
@@ -156,9 +157,9 @@ class Double:
         return self.draw(scene, passes, settings)
 
     def max_pixels(self, scene: tracer.Scene, passes: Sequence[str]) -> int | None:
-        """As told."""
-        del scene, passes
-        return self.limit
+        """As told; any size where all that is wanted is quick."""
+        del scene
+        return None if set(passes) <= set(self.quick) else self.limit
 
 
 def reference(scene: tracer.Scene, passes: Sequence[str], settings: Settings) -> Passes:
@@ -200,7 +201,7 @@ def with_arrays(change: Callable[[Arrays], None], *, recompose: bool = False) ->
     """Draw every pass, then change some; `recompose`: sums follow from their parts, as in a renderer."""
 
     def draw(scene: tracer.Scene, passes: Sequence[str], settings: Settings) -> Passes:
-        every = [name for name in names(len(scene.lights), settings.max_reflections) if "margin" not in name]
+        every = names(len(scene.lights), settings.max_reflections, margins=False)
         arrays: Arrays = {name: array.copy() for name, array in faithful(scene, every, settings).items()}
         change(arrays)
         if recompose:

@@ -80,6 +80,44 @@ def test_the_page_is_no_wider_than_the_window(page: Any) -> None:
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.fixture
+def wide(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    """A report with as many passes as a scene within the limits has, and with long names."""
+    scene = doubles.full()
+    lights = [scene.lights[0].replace(name=f"l{i}", position=(i, 5, 0)) for i in range(5)]
+    scene = scene.replace(lights=lights)
+    names = [f"a/{'long' * 10}/folder-with-{'many-' * 5}words/{'x' * 30}.{k}.txt" for k in range(30)]
+    page = Report()
+    result = validate(dict.fromkeys(names, scene), "native-f32", "numpy-f64", size=(24, 18), on_rendered=page.add)
+    result.command = ["whitted", "validate", "x" * 500]
+    opened = browser.new_page(viewport={"width": 1280, "height": 900})
+    opened.goto(page.write(tmp_path, result).as_uri())
+    yield opened
+    opened.close()
+
+
+def test_a_table_of_every_pass_fits(wide: Any) -> None:
+    table = wide.locator(".wide")
+    assert table.locator("thead th").count() == 19
+    assert table.evaluate("box => box.scrollWidth <= box.clientWidth")
+    wide.set_viewport_size({"width": 420, "height": 900})
+    assert wide.evaluate("document.documentElement.scrollWidth") <= 420
+    # Scrolled, the headings and the names of the scenes stay in sight.
+    corner = table.bounding_box()
+    table.evaluate("box => box.scrollTo(300, 300)")
+    heading, name = table.locator("thead th").nth(9).bounding_box(), table.locator("tbody th").nth(9).bounding_box()
+    assert abs(heading["y"] - corner["y"]) < 2
+    assert abs(name["x"] - corner["x"]) < 2
+
+
+def test_both_pictures_and_their_difference_stand_in_one_row(page: Any) -> None:
+    figures = page.locator("details.pass[open] .figures.of3").first.locator("figure")
+    places = [figures.nth(index).bounding_box() for index in range(3)]
+    assert len({place["y"] for place in places}) == 1
+    assert places[0]["x"] < places[1]["x"] < places[2]["x"]
+    assert figures.first.locator(".frame").bounding_box()["width"] == 384  # whole pixels: 64 times 6
+
+
 def test_a_link_of_the_summary_opens_its_pass(page: Any) -> None:
     closed = page.locator("details.pass:not([open])").first
     name = closed.get_attribute("id")

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -18,10 +19,16 @@ import doubles
 import numpy as np
 import pytest
 from doubles import KEYS, Double, with_arrays
+from PIL import Image
+from rich.console import Console
 
-from tracer.passes import Passes
-from validation import cli, renderers
-from validation.renderers import Registry
+import validation.__main__ as program
+from tracer import _native
+from tracer.passes import SAMPLES, Passes
+from validation import cli, renderers, terminal
+from validation.compare import Comparison
+from validation.renderers import Registry, Settings, Uncertainty
+from validation.run import Validation
 
 
 @dataclass(frozen=True)
@@ -211,13 +218,13 @@ def test_validate_a_scene_that_nobody_can_carry_is_no_success(run: Any, scene: P
 
 def test_validate_a_renderer_that_fails(run: Any, scene: Path, registered: Any) -> None:
     def broken(*_: Any) -> Passes:
-        raise MemoryError("no room")
+        raise RuntimeError("no luck")
 
     registered(Double(name="broken", draw=broken))
     result = run("validate", scene, "--renderer", "native-f64", "--against", "broken,numpy-f64")
     assert result.status == 3
     assert "error: " in result.err
-    assert "broken: failed: MemoryError: no room" in result.err
+    assert "broken: failed: RuntimeError: no luck" in result.err
     assert "15 of 15 comparisons agree, 1 failure" in result.out
 
 
@@ -253,6 +260,23 @@ WRONG = {
     "epsilon": ("validate SCENE --shadow-epsilon nan", "nan", "see `whitted"),
     "epsilon of one": ("validate SCENE --shadow-epsilon 1", "1.0 is not a number from 0 to below 1", "see `whitted"),
     "reflections": ("validate SCENE --max-reflections -1", "-1 is not in the range", "see `whitted"),
+    "threads": ("validate SCENE --threads 1025", "1025 is not in the range", "see `whitted"),
+    "threads of render": ("render SCENE -o x.npz --threads 5000", "5000 is not in the range", "see `whitted"),
+    "wide": ("validate SCENE --size 100001x1", "--size 100001x1: at most 100000 columns", "--no-limits allows more"),
+    "wide render": ("render SCENE -o x.npz --size 1x100001", "at most 100000 columns", "--no-limits allows more"),
+    "itself": (
+        "validate SCENE --renderer numpy-f64 --against numpy-f64",
+        "a renderer is not compared with itself: numpy-f64",
+        "--against with another name",
+    ),
+    "json to -": ("validate SCENE --json -", "'-' is not the name of a file to write", "name a file"),
+    "json to sysfs": ("validate SCENE --json /sys/x.json", "/sys/x.json: ", "name a file in another folder"),
+    "render to sysfs": ("render SCENE -o /sys/x.exr", "/sys/x.exr: ", "name a file in another folder"),
+    "memory": (
+        "render SCENE -o x.npz --no-limits --size 90000000x90000000",
+        "15 passes of 90000000x90000000 pixels need",
+        "a smaller --size, or fewer --passes",
+    ),
     "no file": ("validate nowhere.txt", "nowhere.txt: error: no such file or folder", ""),
     "json folder": ("validate SCENE --json no/where.json", "there is no folder no", "mkdir -p no"),
     "render ending": ("render SCENE -o x.jpg", "unknown file ending '.jpg'", "expected .exr, .npz, .png or .ppm"),
@@ -291,6 +315,25 @@ def test_what_is_wrong_is_said_in_one_sentence_with_a_hint(
         assert lines[1].startswith("  hint: ")
         assert hint in lines[1]
     assert sorted(tmp_path.rglob("*")) == before, "nothing is written"
+
+
+@pytest.mark.parametrize(
+    "words", ["validate SCENE", "render SCENE -o x.npz", "renderers", "convert SCENE --to mitsuba -o x.xml"]
+)
+def test_an_instruction_set_that_is_not_there(
+    words: str, run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHITTED_ISA", "mmx")
+    result = run(*[scene if word == "SCENE" else word for word in words.split()])
+    assert (result.status, result.out) == (2, "")
+    assert result.err.startswith("error: WHITTED_ISA is 'mmx', but here it can be one of ")
+    assert result.err.endswith("\n  hint: unset WHITTED_ISA to use the best one\n")
+
+
+def test_the_samples_are_those_of_the_renderers() -> None:
+    assert cli.SAMPLES == SAMPLES
+    assert cli.MOST_THREADS == _native.MOST_THREADS
 
 
 def test_renderers_lists_them(run: Any, registered: Any) -> None:
@@ -380,7 +423,7 @@ def test_compare_different_sizes(run: Any, scene: Path, tmp_path: Path) -> None:
     run("render", scene, "-o", b, "--passes", "depth", "--size", "8x6")
     result = run("compare", a, b)
     assert result.status == 1
-    assert "delivered 8x6 pixels, expected 64x48" in result.out
+    assert result.out == f"DIFFERENT: {a} is 64x48, {b} is 8x6 pixels: no pixel was compared\n"
 
 
 @pytest.mark.parametrize("ending", [".npz", ".exr", ".png", ".ppm"])
@@ -493,3 +536,248 @@ def test_a_closed_pipe_is_no_error(scene: Path) -> None:
 def test_colours_are_for_terminals(scene: Path) -> None:
     done = whitted("validate", str(scene), *NATIVE, env={**os.environ, "TERM": "xterm-256color"})
     assert "\x1b" not in done.stdout + done.stderr
+
+
+def far_away(tmp_path: Path) -> Path:
+    """A scene that float32 does not hold."""
+    path = tmp_path / "far.txt"
+    path.write_text(doubles.CUT.replace("SPHERE shell 0.1 ", "SPHERE shell 1e20 "))
+    return path
+
+
+@pytest.mark.parametrize("words", ["validate {} --renderer native-f32 --against numpy-f64", "render {} -o x.npz"])
+def test_a_scene_that_float32_does_not_hold_is_wrong_input(
+    words: str, run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    far = far_away(tmp_path)
+    extra = () if "validate" in words else ("--renderer", "native-f32")
+    result = run(*words.format(far).split(), *extra)
+    assert result.status == 2
+    assert result.err == (
+        f"{far}: error: SPHERE: found '1e+20' for 'pos x' of spheres[0], expected a magnitude from 1e-15 to 1e15 "
+        "in float32\n  hint: render it in float64\n"
+    )
+
+
+@pytest.mark.mitsuba
+def test_why_a_renderer_cannot_carry_a_scene(run: Any, tmp_path: Path, need: Any) -> None:
+    need(importlib.util.find_spec("mitsuba"), "no Mitsuba: pip install mitsuba")
+    far = far_away(tmp_path)
+    validated = run("validate", far, "--against", "mitsuba-spec@scalar")
+    assert validated.status == 3
+    assert "cannot carry this scene (it has numbers outside 1e-15 to 1e+15" in validated.out
+    assert "nothing was compared" in validated.out
+    rendered = run("render", far, "-o", tmp_path / "x.npz", "--renderer", "mitsuba-spec@scalar")
+    assert rendered.status == 3
+    assert f"cannot carry the scene {far}: it has numbers outside 1e-15 to 1e+15" in rendered.err
+
+
+def leaves(*_: Any) -> Passes:
+    sys.exit(0)
+
+
+@pytest.mark.parametrize(
+    ("draw", "reason"),
+    [(lambda *_: None, "it returned NoneType, expected Passes"), (leaves, "SystemExit: 0")],
+    ids=["nothing", "the end"],
+)
+def test_a_renderer_that_returns_nothing_or_ends_the_program(
+    draw: Any, reason: str, run: Any, scene: Path, tmp_path: Path, registered: Any
+) -> None:
+    registered(Double(name="odd", draw=draw))
+    validated = run("validate", scene, "--renderer", "native-f64", "--against", "odd")
+    assert (validated.status, validated.err) == (3, f"error: {scene}: odd: failed: {reason}\n")
+    assert "nothing was compared, 1 failure" in validated.out
+    rendered = run("render", scene, "-o", tmp_path / "x.npz", "--renderer", "odd")
+    assert (rendered.status, rendered.err) == (3, f"error: odd failed: {reason}\n")
+
+
+@pytest.mark.parametrize("method", ["passes", "unavailable", "versions", "uncertainty", "max_pixels"])
+def test_whatever_a_renderer_raises_is_its_failure(
+    method: str, run: Any, scene: Path, registered: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any) -> Any:
+        raise KeyError("lost")
+
+    monkeypatch.setattr(Double, method, broken)
+    registered(Double(name="odd"))
+    result = run("validate", scene, "--renderer", "native-f64", "--against", "odd,numpy-f64")
+    if method == "versions":  # the comparisons are worth no less
+        assert (result.status, result.err) == (0, "")
+        return
+    assert result.status == 3
+    assert result.err.count("error: ") == 1
+    assert "odd: failed: KeyError: 'lost'" in result.err
+    assert "15 of 15 comparisons agree, 1 failure" in result.out
+
+
+def test_without_a_command_the_help_is_shown(run: Any) -> None:
+    result = run()
+    assert (result.status, result.out) == (2, "")
+    assert result.err.startswith("Usage: whitted [OPTIONS] COMMAND")
+
+
+@pytest.mark.parametrize("words", ["validate {} --size 8x6 --renderer native-f64 --against numpy-f64", "renderers"])
+def test_a_reader_that_has_gone_is_no_difference(words: str, scene: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "validation", *words.format(scene).split()],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (128 + 13, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize(
+    "words", ["validate {} --size 8x6 --renderer native-f64 --against numpy-f64", "renderers", "--help"]
+)
+def test_output_that_cannot_be_written(words: str, scene: Path) -> None:
+    command = f"{sys.executable} -m validation {words.format(scene)}"
+    expected = {
+        ">/dev/full": "error: standard output: No space left on device\n  hint: send it elsewhere\n",
+        ">&-": "error: standard output is closed\n  hint: send it to a file or to /dev/null\n",
+    }
+    for redirection, message in expected.items():
+        done = subprocess.run(
+            ["bash", "-c", command + redirection], stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        )
+        assert (done.returncode, done.stderr) == (2, message)
+
+
+def test_interrupted_while_it_is_imported(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    class Interrupted:
+        def __getattr__(self, name: str) -> Any:
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(sys.modules, "validation.cli", Interrupted())
+    with pytest.raises(SystemExit) as exit_info:
+        program.main()
+    assert exit_info.value.code == 130
+    assert capfd.readouterr().err == "interrupted\n"
+
+
+def test_json_goes_into_a_pipe(scene: Path) -> None:
+    command = f"{sys.executable} -m validation validate {scene} {' '.join(NATIVE)} --passes id --json >(cat >&2)"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0
+    assert "1 of 1 comparisons agree" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "validate - --renderer native-f64 --against numpy-f64 --size 8x6",
+        "render - -o x.npz --size 8x6",
+        pytest.param("convert - --to mitsuba -o x.xml", marks=pytest.mark.mitsuba),
+    ],
+)
+def test_a_scene_from_standard_input(words: str, tmp_path: Path) -> None:
+    if "convert" in words:
+        pytest.importorskip("mitsuba")
+    done = whitted(*words.split(), input=doubles.FULL, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "validate" not in words or "<stdin> 8x6" in done.stdout
+    wrong = whitted(*words.split(), input="NEAR x", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("<stdin>:1:6: error: NEAR: found 'x'")
+
+
+def test_names_given_twice_count_once(run: Any, scene: Path) -> None:
+    assert "1 of 1 comparisons agree" in run("validate", scene, *NATIVE, "--passes", "beauty,beauty").out
+
+
+def test_how_many_files_are_wrong(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("NEAR x")
+    (tmp_path / "b.txt").write_text(doubles.FULL)
+    result = run("validate", tmp_path, *NATIVE)
+    assert result.status == 2
+    assert result.err.endswith("\nnothing was compared: 1 of 2 files are wrong\n")
+
+
+def test_a_warning_says_so_once(run: Any, tmp_path: Path) -> None:
+    ball = "SPHERE shell 0.1 0.2 -3 1.5 1.5 1.5 0.9 0.7 0.2 0.3 0.7 0.2 0 5\n"
+    (tmp_path / "twice.txt").write_text(doubles.CUT.replace(ball, ball * 2))
+    result = run("validate", tmp_path / "twice.txt", *NATIVE)
+    assert result.err.startswith(f"{tmp_path / 'twice.txt'}:8:1: warning: ")
+    assert result.err.count("warning: ") == 1
+
+
+def test_passes_that_fail_alike_are_told_together(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(claim=Uncertainty(1.0, 1.0, 1.0, 1.0, 1e-9)))
+    result = run("validate", scene, "--renderer", "double", "--against", "native-f64")
+    assert result.status == 1
+    (told,) = [line for line in result.out.splitlines() if "too many edge pixels: " in line]
+    assert "beauty, " in told
+    assert "id (double, native-f64): too many" in told
+    assert result.out.count("--against numpy-f64 may decide more") == 1
+
+
+def test_a_pixel_that_differs_is_told_once(run: Any, scene: Path, registered: Any) -> None:
+    registered(Double(draw=with_arrays(one_pixel)))
+    result = run("validate", scene, "--renderer", "double", "--against", "numpy-f64", "--passes", "beauty")
+    (told,) = [line for line in result.out.splitlines() if "interior pixels over tolerance" in line]
+    assert told.count("x 30, y 20") == 1
+
+
+def test_a_narrow_terminal_shows_the_result(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agreeing = [
+        Comparison(f"scenes/gallery/{name}.txt", (400, 400), "a", "b", "reflection.1", max=1e-15, ratio=0.01)
+        for name in ("mirrors", "a-longer-name-of-a-scene")
+    ]
+    monkeypatch.setattr(terminal, "console", lambda: Console(width=72))
+    terminal.print_validation(Validation(Settings(), agreeing), verbose=True)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines[:4])) <= 72
+    assert lines[1].split()[:3] == ["scene", "result", "pass"]
+    assert any(line.startswith("mirrors.txt 400x400 ") and " agree " in line for line in lines)
+
+
+def test_compare_takes_families(run: Any, scene: Path, tmp_path: Path) -> None:
+    a = tmp_path / "a.npz"
+    run("render", scene, "-o", a)
+    result = run("compare", a, a, "--passes", "reflection*")
+    assert result.status == 0
+    assert result.out.count("equal") == 4
+    none = run("compare", a, a, "--passes", "margin.*")
+    assert (none.status, none.out) == (2, "")
+
+
+def test_compare_shows_levels_as_integers(run: Any, tmp_path: Path) -> None:
+    a, b = tmp_path / "a.png", tmp_path / "b.ppm"
+    levels = np.full((2, 3, 3), 40, dtype=np.uint8)
+    Image.fromarray(levels).save(a)
+    levels[1, 2, 1] = 206
+    Image.fromarray(levels).save(b)
+    result = run("compare", a, b)
+    assert result.status == 1
+    assert " 166 " in result.out
+    assert "worst pixel x 2, y 1 G: 40 and 206" in result.out
+
+
+def test_compare_does_not_reduce_16_bits(run: Any, tmp_path: Path) -> None:
+    deep = tmp_path / "deep.ppm"
+    deep.write_bytes(b"P6 # a comment\n1 1\n65535\n" + bytes(6))
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
+    png = tmp_path / "deep.png"
+    png.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header)
+    for path in (deep, png):
+        result = run("compare", path, path)
+        assert (result.status, result.out) == (2, "")
+        assert f"{path}: an image of 16 bits a channel, expected 8" in result.err
+
+
+@pytest.mark.mitsuba
+def test_convert_names_its_own_options(run: Any, scene: Path, tmp_path: Path, need: Any) -> None:
+    need(importlib.util.find_spec("mitsuba"), "no Mitsuba: pip install mitsuba")
+    result = run("convert", scene, "--to", "mitsuba", "-o", tmp_path / "x.xml", "--stock-only")
+    assert "--light INDEX" in result.err
+    assert "light=" not in result.err

@@ -160,6 +160,21 @@ def test_a_pixel_without_a_bound_is_counted_as_an_edge() -> None:
     assert compare(passes(), passes(), "beauty", judge(found)).edge == 2
 
 
+@pytest.mark.parametrize("unbounded", [np.inf, np.nan])
+def test_a_pixel_without_a_bound_is_held_to_the_largest_of_the_interior(unbounded: float) -> None:
+    found = analysis()
+    found.sensitivity["beauty"][3, 4] = unbounded
+    found.sensitivity["beauty"][8, 8] = 50.0  # times a unit of 1e-6: the largest tolerance is 5e-5
+    base = passes()["beauty"][3, 4, 0]
+    for error, over in ((4.9e-5, 0), (5.1e-5, 1), (0.5, 1)):
+        comparison = compare(changed("beauty", (3, 4, 0), base + error), passes(), "beauty", judge(found))
+        assert (comparison.edge, comparison.edge_over, comparison.interior_over) == (1, over, 0)
+        assert comparison.ok
+    found.sensitivity["beauty"][:] = unbounded
+    alone = compare(changed("beauty", (3, 4, 0), base + 1e-9), passes(), "beauty", judge(found))
+    assert (alone.interior, alone.edge_over) == (0, 1)
+
+
 @pytest.mark.parametrize("kind", MARGINS)
 @pytest.mark.parametrize("side", ["a", "b"])
 def test_too_many_edge_pixels_are_a_failure_even_of_equal_pictures(kind: str, side: str) -> None:

@@ -18,7 +18,10 @@ from validation import compare_passes
 from validation.compare import Judge
 from validation.renderers import Settings, get
 from validation.renderers import mitsuba as module
-from validation.renderers.mitsuba import SLACK, UNIT_ROUNDOFF, Arrays, Driver, Hits, Loop, MitsubaSpec, Start
+from validation.renderers.mitsuba import MitsubaSpec, llvm
+from validation.renderers.mitsuba.driver import RETRIES, Driver, Start
+from validation.renderers.mitsuba.engines import Arrays, Hits, Loop
+from validation.renderers.mitsuba.precision import SLACK, UNIT_ROUNDOFF
 
 pytestmark = pytest.mark.mitsuba
 
@@ -94,7 +97,7 @@ SCENES = {
 
 
 def every(scene: Scene, settings: Settings) -> tuple[str, ...]:
-    return tuple(name for name in names(len(scene.lights), settings.max_reflections) if not name.startswith("margin."))
+    return names(len(scene.lights), settings.max_reflections, margins=False)
 
 
 def agree(renderer: MitsubaSpec, scene: Scene, settings: Settings | None = None) -> Passes:
@@ -310,7 +313,7 @@ def test_ray_goes_on_behind_the_root_it_starts_from() -> None:
     assert hits.t == pytest.approx([2 + 1e-7 + SLACK], abs=1e-12)
     hits, origins = leave(99)
     assert hits.ray.size == 0
-    assert len(origins) == module.RETRIES + 2
+    assert len(origins) == RETRIES + 2
 
 
 def test_hits_can_be_taken_apart(renderer: MitsubaSpec) -> None:
@@ -331,9 +334,9 @@ def test_hits_can_be_taken_apart(renderer: MitsubaSpec) -> None:
 
 @pytest.fixture
 def _fresh_probe() -> Iterator[None]:
-    module.llvm.cache_clear()
+    llvm.find.cache_clear()
     yield
-    module.llvm.cache_clear()
+    llvm.find.cache_clear()
 
 
 @pytest.mark.usefixtures("_fresh_probe")
@@ -351,7 +354,7 @@ def test_missing_llvm_is_one_sentence_with_the_command(monkeypatch: pytest.Monke
 @pytest.mark.usefixtures("_fresh_probe")
 def test_no_llvm_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    monkeypatch.setattr(module, "_libraries", list)
+    monkeypatch.setattr(llvm, "_libraries", list)
     assert MitsubaSpec("llvm").unavailable() == "no LLVM library was found: apt-get install libllvm19"
 
 
@@ -365,8 +368,8 @@ def test_libraries_newest_first_without_those_that_abort(monkeypatch: pytest.Mon
         "libLLVM-18.so",
     ):
         (tmp_path / name).touch()
-    monkeypatch.setattr(module, "FOLDERS", (str(tmp_path),))
-    assert [Path(path).name for path in module._libraries()] == ["libLLVM.so.19.1", "libLLVM-18.so", "libLLVM-17.so.1"]
+    monkeypatch.setattr(llvm, "FOLDERS", (str(tmp_path),))
+    assert [Path(path).name for path in llvm._libraries()] == ["libLLVM.so.19.1", "libLLVM-18.so", "libLLVM-17.so.1"]
 
 
 def test_import_and_listing_do_not_load_mitsuba() -> None:

@@ -6,6 +6,7 @@ import base64
 import io
 import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,11 @@ from doubles import Double, with_arrays
 from PIL import Image
 
 from tracer.passes import lookup, quantise
-from validation import Validation, validate
+from validation import Comparison, Settings, Validation, validate
+from validation.cli import main
+from validation.compare import Maps, Worst
 from validation.report import pictures
-from validation.report.report import Report
+from validation.report.report import Report, bound, cell, headline, ours, share, shared_folder, short
 from validation.run import Note
 
 VOID = {"meta", "link", "img", "br", "path", "use", "wbr"}
@@ -295,6 +298,15 @@ def test_the_outline_goes_round_edge_pixels() -> None:
     assert pictures.outline(np.zeros((2, 2), bool)) == ""
 
 
+def test_a_scene_of_two_sizes_has_a_row_for_each(tmp_path: Path) -> None:
+    page = Report()
+    slow = Double(name="slow", limit=768, quick=("id", "depth"))
+    found = validate({"full": doubles.full(), "cut": doubles.cut()}, "native-f64", slow, on_rendered=page.add)
+    text = page.write(tmp_path, found).read_text(encoding="utf-8")
+    for expected in ("full 64×48</span>", "full 32×24</span>", "cut 48×48</span>", "cut 27×27</span>"):
+        assert text.count(expected) == 1
+
+
 def test_a_comparison_without_pictures_is_shown_in_words(tmp_path: Path) -> None:
     page = Report()
     found = validate(
@@ -303,7 +315,7 @@ def test_a_comparison_without_pictures_is_shown_in_words(tmp_path: Path) -> None
     text = Page(page.write(tmp_path, found).read_text()).text
     assert "double did not deliver the pass &#39;depth&#39;" not in text
     assert "double did not deliver the pass 'depth'" in text
-    assert "1 of 1 comparisons differ" in text
+    assert "1 of 1 comparison differs" in text
 
 
 def test_a_report_of_nothing(tmp_path: Path) -> None:
@@ -311,6 +323,88 @@ def test_a_report_of_nothing(tmp_path: Path) -> None:
     text = Page(Report().write(tmp_path, found).read_text()).text
     assert "Nothing was compared" in text
     assert "cannot carry this scene" in text
+    assert "Each cell" not in text, "there is no table to explain"
+
+
+def test_the_headline_says_all_that_happened() -> None:
+    def of(agree: int, differ: int, failures: int) -> str:
+        found = [Comparison("s", (1, 1), "a", "b", "id")] * agree
+        found += [Comparison("s", (1, 1), "a", "b", "id", reasons=("off",))] * differ
+        return headline(Validation(Settings(), found, failures=[Note("s", "a", "failed")] * failures))
+
+    assert of(8, 0, 0) == "All 8 comparisons agree"
+    assert of(1, 0, 0) == "The only comparison agrees"
+    assert of(7, 1, 0) == "1 of 8 comparisons differ"
+    assert of(7, 1, 1) == "1 of 8 comparisons differ, and there was 1 failure"
+    assert of(8, 0, 2) == "All 8 comparisons agree, but there were 2 failures"
+    assert of(0, 0, 1) == "Nothing was compared"
+
+
+def test_numbers_read_well() -> None:
+    assert [short(value) for value in (None, 0.0, 5.2e12, 1.3e-7, 0.0123, math.inf)] == [
+        *("–", "0", "5.2e12", "1.3e-7", "0.012", "∞"),
+    ]
+    # Narrow, and on the side of 1 where the value is.
+    ratios = (None, 0.0, 1e-9, 0.0501, 0.994, 0.9951, 1.0, 1.0001, 1.5, 999.4, 5e12, math.inf)
+    shown = ("–", "0", "<.01", ".05", ".99", "<1", "1", ">1", "1.5", "999", "5e12", "∞")
+    assert [cell(ratio) for ratio in ratios] == [*shown]
+    assert [share(ratio) for ratio in (0.0, 1e-9, 0.0072, 1.0)] == ["0 %", "less than 0.1 %", "0.72 %", "100 %"]
+    assert bound(0.5) == "0.5"
+    assert bound(math.inf) == bound(math.nan) == "none: the values have no bound"
+
+
+def test_the_folder_that_all_scenes_share() -> None:
+    assert shared_folder(["scenes/a/x.txt", "scenes/b/x.txt", "scenes/c.txt"]) == "scenes/"
+    assert shared_folder(["scenes/a/x.txt"]) == "scenes/a/"
+    assert shared_folder(["scenes/a.txt", "scenesx/a.txt"]) == shared_folder(["a", "a/b"]) == ""
+    assert shared_folder(["/tmp/a.txt", "/tmp/b.txt"]) == "/tmp/"
+
+
+def test_what_somebody_else_made_is_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.txt").write_text(doubles.full().text())
+    command = ["validate", "scene.txt", "--against", "numpy-f64", "--passes", "id", "--report", "page"]
+    for _ in range(2):  # a page of our own gives way to the next
+        with pytest.raises(SystemExit) as ended:
+            main(command)
+        assert ended.value.code == 0
+    page = Path("page/index.html")
+    assert ours(page)
+    assert ours(Path("page/none.html"))
+    page.write_text("<!doctype html><title>my thesis</title>")
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert ended.value.code == 2
+    assert capfd.readouterr() == (
+        "",
+        f"error: {page} is no report of whitted\n  hint: name another folder, or remove that file\n",
+    )
+    assert "my thesis" in page.read_text()
+
+
+def test_an_edge_pixel_that_differs_most_is_called_one(tmp_path: Path) -> None:
+    page = Report()
+    found = validate({"hall": doubles.full()}, "native-f64", "numpy-f64", passes=["beauty"])
+    rendered: list[Any] = []
+    validate({"hall": doubles.full()}, "native-f64", "numpy-f64", passes=["beauty"], on_rendered=rendered.append)
+    (drawn,) = rendered
+    (comparison,) = drawn.comparisons
+    edge, tolerance = np.zeros((48, 64), bool), np.full((48, 64), 0.25)
+    edge[7, 9], tolerance[7, 9] = True, np.inf
+    error = np.zeros((48, 64))
+    error[7, 9] = 0.5
+    maps = Maps(error, tolerance, ~np.zeros((48, 64), bool), edge)
+    worst = Worst(9, 7, "R", 0.75, 0.25)
+    comparison = replace(comparison, maps=maps, worst=worst, max=0.5, edge=1, edge_over=1)
+    page.add(replace(drawn, comparisons=[comparison]))
+    text = Page(page.write(tmp_path, found).read_text()).text
+    assert "Worst pixel (ring, on an edge): x 9, y 7, R" in text
+    assert "tolerance there none: the values have no bound" in text
+    assert "largest error 0.5, on an edge" in text
+    assert "1, 1 over tolerance" in text
 
 
 def test_a_large_report_stays_small(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from doubles import Double
 
 import validation
 from tracer.passes import Passes
-from validation import Settings, validate
+from validation import Settings, run, validate
 from validation.run import Note, SceneFilesError, load_scenes, resized, scene_files, shrink
 
 
@@ -71,6 +71,38 @@ def test_each_renderer_draws_a_scene_once() -> None:
     assert result.ok
     assert len(result.comparisons) == 15 + 14
     assert [note.message for note in result.notes] == ["not compared, as one of them lacks them: depth"]
+
+
+def test_what_is_quick_keeps_its_size_and_the_rest_is_drawn_smaller() -> None:
+    tested = Double(name="tested")
+    slow = Double(name="slow", limit=768, quick=("id", "depth", "normal", "specular"), missing=("ambient",))
+    rendered: list[Any] = []
+    result = validate({"full": doubles.full()}, tested, [slow, "numpy-f64"], on_rendered=rendered.append)
+    assert result.ok
+    sizes = {(entry.reference, entry.pass_name): entry.size for entry in result.comparisons}
+    assert {name for (by, name), size in sizes.items() if (by, size) == ("slow", (64, 48))} == set(slow.quick)
+    assert {size for (by, name), size in sizes.items() if by == "slow" and name not in slow.quick} == {(32, 24)}
+    assert {size for (by, _), size in sizes.items() if by == "numpy-f64"} == {(64, 48)}
+    assert len(result.comparisons) == 14 + 15
+    assert (slow.rendered, tested.rendered) == ([(64, 48), (32, 24)],) * 2, "each size is drawn once"
+    assert [entry.scene.view.columns for entry in rendered] == [64, 32, 64]
+    assert "diffuse, direct, shadow.L0" in result.notes[1].message
+    assert result.notes[1].message.endswith(" drawn at 32x24 instead of 64x48: slow would take too long")
+
+
+def test_all_is_drawn_smaller_where_not_even_hits_are_quick() -> None:
+    slow = Double(name="slow", limit=768, quick=("depth", "normal"))
+    result = validate({"full": doubles.full()}, Double(name="tested"), slow)
+    assert {entry.size for entry in result.comparisons} == {(32, 24)}
+    assert [note.message for note in result.notes] == ["drawn at 32x24 instead of 64x48: slow would take too long"]
+
+
+def test_a_scene_beyond_the_analysis_is_compared_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "ANALYSIS_MAX_PIXELS", 768)
+    result = validate({"full": doubles.full()}, "native-f64", "numpy-f64")
+    assert {entry.size for entry in result.comparisons} == {(32, 24)}
+    message = "compared at 32x24 instead of 64x48: finding the edges would take too long"
+    assert [note.message for note in result.notes] == [message]
 
 
 def test_a_renderer_is_not_compared_with_itself() -> None:
@@ -149,3 +181,15 @@ def test_the_face_of_the_package() -> None:
         assert getattr(validation, name) is not None
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = validation.nothing
+
+
+def test_wrong_input_is_no_failure_of_a_renderer() -> None:
+    def large(*_: Any) -> Passes:
+        raise MemoryError
+
+    result = validate({"full": doubles.full()}, Double(draw=large), "numpy-f64")
+    assert result.status == 2
+    message = "full: error: double: not enough memory for 64x48 pixels\n  hint: a smaller --size, or fewer --passes"
+    assert [note.message for note in result.failures] == [message]
+    result.failures.append(Note("", "somebody", "failed"))
+    assert result.status == 3, "a renderer that failed outweighs it"

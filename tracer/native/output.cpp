@@ -158,7 +158,9 @@ Problem read_file(const std::string &path, std::size_t limit, std::string &conte
     std::error_code error;
     if (!piped && fs::is_directory(path, error)) return {name + " is a folder, not a scene file", ""};
     std::FILE *file = piped ? stdin : std::fopen(path.c_str(), "rbe");
-    if (!file) return {"cannot read " + name + ": " + reason(errno), "check the name of the scene file"};
+    if (!file)
+        return {"cannot read " + name + ": " + reason(errno),
+                errno == ENOENT ? "check the name of the scene file" : ""};
     // A buffer of our own: one system call for an ordinary scene.
     char block[65536];
     std::setvbuf(file, nullptr, _IONBF, 0);

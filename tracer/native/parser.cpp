@@ -21,6 +21,32 @@
 namespace whitted {
 namespace {
 
+constexpr const char *scene_hint = "a scene is text in UTF-8 with lines such as RES 640 480";
+
+// The kind of image that a file begins like; empty: none.
+std::string_view image_format(std::string_view text) {
+    if (text.size() > 2 && text[0] == 'P' && text[1] >= '1' && text[1] <= '6' &&
+        std::string_view(" \t\r\n").find(text[2]) != text.npos) {
+        return "PPM";
+    }
+    if (text.starts_with("\x89PNG")) {
+        return "PNG";
+    }
+    return text.starts_with("\xff\xd8\xff") ? "JPEG" : text.starts_with("v/1\x01") ? "EXR" : "";
+}
+
+// Whether the file begins like a program or an archive. A few strange bytes are a slip of an editor: those are reported
+// one by one, with their places.
+bool is_binary(std::string_view text) {
+    constexpr std::size_t looked_at = 1024;
+    constexpr std::ptrdiff_t slips = 4;
+    const std::string_view start = text.substr(0, looked_at);
+    return std::count_if(start.begin(), start.end(), [](char character) {
+               return (character >= 0 && character < ' ' && (character < '\t' || character > '\r')) ||
+                      character == '\x7f';
+           }) > slips;
+}
+
 class Parser {
   public:
     Parser(std::string_view text, bool limits) : text_(text), limits_(limits) {}
@@ -29,6 +55,10 @@ class Parser {
         if (text_.starts_with("\xff\xfe") || text_.starts_with("\xfe\xff")) {
             // Once, where every line would be an error.
             report_.add({1, 1, "", "the file is UTF-16, expected UTF-8", "save the file as UTF-8"});
+        } else if (const std::string_view image = image_format(text_); !image.empty()) {
+            report_.add({1, 1, "", join("this is an image (", image, "), not a scene"), scene_hint});
+        } else if (is_binary(text_)) {
+            report_.add({1, 1, "", "this is not a text file", scene_hint});
         } else {
             read_lines();
             check_order(LEFT, scene_.view.left, RIGHT, scene_.view.right);

@@ -224,14 +224,29 @@ int stopped(bool incomplete = false) {
     return 128 + stop_signal;
 }
 
+// The ending of a file name that promises another format than PPM; empty: none.
+std::string_view other_image(std::string_view path) {
+    constexpr std::array<std::string_view, 9> endings{".png", ".jpg",  ".jpeg", ".gif", ".bmp",
+                                                      ".tif", ".tiff", ".exr",  ".webp"};
+    for (const std::string_view ending : endings) {
+        const std::size_t start = path.size() - std::min(path.size(), ending.size());
+        if (whitted::upper(path.substr(start)) == whitted::upper(ending)) return ending;
+    }
+    return "";
+}
+
 int render(const Options &options, const whitted::Scene &scene) {
     const std::int64_t pixels = scene.view.columns * scene.view.rows;
     if (pixels > (std::numeric_limits<std::int64_t>::max() - 100) / 3)
         return fail({"an image of " + std::to_string(scene.view.columns) + " x " + std::to_string(scene.view.rows) +
                          " pixels is larger than any file can be",
                      "lower RES"});
-    const std::string header = whitted::ppm_header(scene.view.columns, scene.view.rows);
     const std::string path = options.output.empty() ? scene.output : options.output;
+    if (const std::string_view kind = other_image(path); !kind.empty())
+        std::fprintf(
+            stderr, "warning: '%s' becomes a PPM file, whatever %s says\n  hint: whitted render writes .png and .exr\n",
+            path.c_str(), std::string(kind).c_str());
+    const std::string header = whitted::ppm_header(scene.view.columns, scene.view.rows);
     if (options.output.empty()) {
         if (const Problem problem = whitted::check_output_field(path)) return fail(problem);
     }

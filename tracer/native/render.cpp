@@ -261,35 +261,19 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             const auto wanted = [&](PassKind kind) {
                 return std::any_of(targets.begin(), targets.end(), [&](const Target &t) { return t.kind == kind; });
             };
-            std::vector<Real **> used;
-            const auto take = [&](Real **planes_of_pass, std::size_t count) {
-                for (std::size_t k = 0; k < count; ++k) used.push_back(planes_of_pass + k);
-            };
-            if (wanted(PassKind::beauty) || wanted(PassKind::beauty8)) take(planes.beauty, 3);
-            if (wanted(PassKind::ambient)) take(planes.ambient, 3);
-            if (wanted(PassKind::diffuse)) take(planes.diffuse, 3);
-            if (wanted(PassKind::specular)) take(planes.specular, 3);
-            if (wanted(PassKind::direct)) take(planes.direct, 3);
-            if (wanted(PassKind::reflection)) take(planes.reflection, 3);
-            if (wanted(PassKind::position)) take(planes.position, 3);
-            if (wanted(PassKind::normal)) take(planes.normal, 3);
-            if (wanted(PassKind::depth)) take(&planes.depth, 1);
-            if (wanted(PassKind::id)) take(&planes.id, 1);
-            if (wanted(PassKind::shadow)) {
-                shadow.resize(light_count);
-                take(shadow.data(), shadow.size());
-            }
-            if (wanted(PassKind::reflection_order)) {
-                // Up to 1000 bounces: memory only for those that are asked for.
+            if (wanted(PassKind::shadow)) shadow.resize(light_count);
+            if (wanted(PassKind::reflection_order))
                 reflection_order.resize(3 * static_cast<std::size_t>(max_reflections));
-                std::set<int> bounces;
-                for (const Target &target : targets)
-                    if (target.kind == PassKind::reflection_order) bounces.insert(target.member);
-                for (const int bounce : bounces)
-                    take(reflection_order.data() + 3 * (static_cast<std::size_t>(bounce) - 1), 3);
-            }
+            std::set<Real **> used;  // memory only for what is asked for: there are up to 1000 bounces
+            for (const Target &target : targets)
+                for (int c = 0; c < channels(target.kind); ++c) used.insert(planes_of(target) + c);
+            for (Real *&plane : shadow) used.insert(&plane);  // a kernel fills those of all lights
             values.resize(used.size() * span_columns);
-            for (std::size_t k = 0; k < used.size(); ++k) *used[k] = values.data() + k * span_columns;
+            Real *next = values.data();
+            for (Real **plane : used) {
+                *plane = next;
+                next += span_columns;
+            }
             planes.shadow = shadow.empty() ? nullptr : shadow.data();
             planes.reflection_order = reflection_order.empty() ? nullptr : reflection_order.data();
         }
@@ -301,7 +285,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 if (plane) std::fill_n(plane, span_columns, Real(0));
         }
 
-        const Real *const *planes_of(const Target &target) const {
+        // The first plane of a pass; there is one a channel.
+        Real **planes_of(const Target &target) {
             const std::size_t member = static_cast<std::size_t>(target.member);
             switch (target.kind) {
                 case PassKind::beauty:

@@ -1,20 +1,21 @@
-"""What a renderer that computes in plain floating point may be off by: one derivation for ours and for others'."""
+"""Renderers that keep to the specification in plain floating point: what they may be off by, and what ours share."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
+import tracer
 from tracer.margins import EDGE_ROUNDINGS, VALUE_ROUNDINGS
+from tracer.passes import Passes, Precision, names
 from validation.renderers import Settings, Uncertainty
 
 if TYPE_CHECKING:
     from tracer import Scene
-
-Precision = Literal["f64", "f32"]
+    from tracer.margins import Analysis
 
 #: Half the distance from 1 to the next number.
 UNIT_ROUNDOFF: dict[Precision, float] = {"f64": 2.0**-53, "f32": 2.0**-24}
-
 
 #: Below this a format rounds absolutely, or to zero: a first-order bound, which is relative, does not cover it.
 UNDERFLOW: dict[Precision, float] = {"f64": 2.0**-1022, "f32": 2.0**-126}
@@ -49,3 +50,52 @@ def uncertainty(precision: Precision, scene: Scene, settings: Settings) -> Uncer
             "normal": tiny,
         },
     )
+
+
+class FloatRenderer:
+    """One of our own renderers in one precision; a subclass says what draws, and with what."""
+
+    program: ClassVar[str]
+    #: Whether it has the passes `margin.*` too.
+    margins: ClassVar[bool] = False
+    #: The largest image that it draws; None: any.
+    most_pixels: ClassVar[int | None] = None
+
+    def __init__(self, precision: Precision) -> None:
+        """One a precision."""
+        self.precision: Precision = precision
+        self.name = f"{self.program}-{precision}"
+
+    def version(self) -> str:
+        """The version of the package that carries it."""
+        return tracer.version()
+
+    def versions(self) -> Mapping[str, str]:
+        """The package, and what it is made with."""
+        return {"whitted": tracer.version(), **self.parts()}
+
+    def parts(self) -> Mapping[str, str]:
+        """What else decides about its results, with versions."""
+        raise NotImplementedError
+
+    def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
+        """Every pass of the scene; the margins only where it has them."""
+        return names(len(scene.lights), settings.max_reflections, margins=self.margins)
+
+    def unavailable(self) -> str | None:
+        """None: it comes with the package."""
+        return None
+
+    def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
+        """That of its format."""
+        del analysis
+        return uncertainty(self.precision, scene, settings)
+
+    def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        """Exactly the passes asked for."""
+        raise NotImplementedError
+
+    def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
+        """The same for every scene."""
+        del scene, passes
+        return self.most_pixels

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+import importlib.metadata
+import math
 import re
 import shlex
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +19,17 @@ from tracer.passes import TABLE, lookup, write_beside
 from validation.report import pictures
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tracer.passes import Passes
     from validation.compare import Comparison
     from validation.run import Rendered, Validation
 
-#: A small picture is enlarged to about that many pixels, by a whole number.
+#: A small picture is enlarged to at most that many pixels, by a whole number; three such stand side by side.
 WIDTH = 400
+
+#: Begins the tag by which a page of ours is known.
+MARK = '<meta name="generator" content="whitted '
 
 #: A picture seen before is stored once; below this many characters that is not worth a reference.
 SHARE_FROM = 1000
@@ -51,6 +58,13 @@ class PassView:
     heatmap: pictures.Heatmap | None = None
     edges: str = ""
     zoom: int = 1
+    worst_on_edge: bool = False
+    worst_tolerance: float | None = None
+
+    @property
+    def count(self) -> int:
+        """Pictures that the page shows of it."""
+        return sum(shown is not None for shown in (self.a, self.b, self.heat))
 
 
 @dataclass
@@ -81,6 +95,15 @@ class SceneView:
         return list(found.items())
 
 
+def ours(path: Path) -> bool:
+    """Whether a page may be written there: nothing is there yet, or a page of an earlier run."""
+    try:
+        with path.open("rb") as stream:
+            return MARK.encode() in stream.read(2048)
+    except FileNotFoundError:
+        return True
+
+
 class Report:
     """Collects pictures while scenes are compared, so that no arrays need to be kept, and writes the page."""
 
@@ -107,12 +130,13 @@ class Report:
         self._scenes.append(scene)
 
     def _view(self, scene: SceneView, comparison: Comparison, a: Passes, b: Passes) -> PassView:
-        view = PassView(
-            f"{scene.anchor}-{comparison.pass_name}", comparison, zoom=max(1, round(WIDTH / max(scene.size)))
-        )
-        maps = comparison.maps
+        anchor, maps = f"{scene.anchor}-{comparison.pass_name}", comparison.maps
+        view = PassView(anchor, replace(comparison, maps=None), zoom=max(1, WIDTH // max(scene.size)))
         if maps is None:
             return view
+        if worst := comparison.worst:
+            view.worst_on_edge = bool(maps.edge[worst.y, worst.x])
+            view.worst_tolerance = float(maps.tolerance[worst.y, worst.x])
         name, everywhere = comparison.pass_name, np.ones(maps.edge.shape, dtype=bool)
         hits = tuple(np.asarray(side["id"]) >= 0 if "id" in side else everywhere for side in (a, b))
         drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
@@ -149,11 +173,14 @@ class Report:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters |= {"short": short, "exact": exact, "cell": cell, "breakable": breakable}
+        environment.filters |= {"short": short, "exact": exact, "cell": cell, "share": share, "number": counted}
+        environment.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
         page = environment.get_template("report.html.j2").render(
             result=result,
             style=Markup(style),
+            mark=Markup(MARK) + importlib.metadata.version("whitted"),
+            headline=headline(result),
             scenes=self._ordered(),
             summary=self._summary(),
             command=shlex.join(result.command),
@@ -176,13 +203,24 @@ class Report:
             scenes = [scene for scene in self._ordered() if (scene.renderer, scene.reference) == pair]
             found = {view.comparison.pass_name for scene in scenes for view in scene.passes}
             columns = sorted(found, key=_order)
+            labels = [scene.label for scene in scenes]
+            folder = shared_folder(labels)
             rows = [
-                (scene, [next((v for v in scene.passes if v.comparison.pass_name == name), None) for name in columns])
+                {
+                    "scene": scene,
+                    "label": scene.label[len(folder) :],
+                    # A scene may have been drawn at two sizes, each with some of the passes.
+                    "size": "{}×{}".format(*scene.size) if labels.count(scene.label) > 1 else "",
+                    "cells": [
+                        next((v for v in scene.passes if v.comparison.pass_name == name), None) for name in columns
+                    ],
+                }
                 for scene in scenes
             ]
             failed = sum(scene.failed for scene in scenes)
             total = sum(len(scene.passes) for scene in scenes)
-            tables.append({"pair": pair, "columns": columns, "rows": rows, "failed": failed, "total": total})
+            table = {"pair": pair, "folder": folder, "columns": columns, "rows": rows}
+            tables.append({**table, "failed": failed, "total": total})
         return tables
 
 
@@ -193,18 +231,77 @@ def _order(name: str) -> tuple[int, int]:
     return TABLE.index(row), int(digits or 0)
 
 
+def headline(result: Validation) -> str:
+    """What came out, in one line."""
+    total = len(result.comparisons)
+    if not total:
+        return "Nothing was compared"
+    failed = sum(not comparison.ok for comparison in result.comparisons)
+    if failed:
+        text = f"{failed} of {counted(total, 'comparison')} differ{'s' if total == 1 else ''}"
+    else:
+        text = "The only comparison agrees" if total == 1 else f"All {total} comparisons agree"
+    if result.failures:
+        text += f", {'and' if failed else 'but'} there {'was' if len(result.failures) == 1 else 'were'} "
+        text += counted(len(result.failures), "failure")
+    return text
+
+
+def shared_folder(labels: Sequence[str]) -> str:
+    """The folders, with a slash at the end, that the names of all scenes begin with; empty if there are none."""
+    shared = ""
+    for folders in zip(*(label.split("/")[:-1] for label in labels), strict=False):
+        if len(set(folders)) > 1:
+            break
+        shared += f"{folders[0]}/"
+    return shared
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def digits(value: float, form: str = ".2g") -> str:
+    """A number without the filling of an exponent."""
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    if form == ".2g" and 99.5 <= abs(value) < 1e5:
+        form = ".0f"
+    return re.sub(r"e\+?(-?)0*(?=\d)", r"e\1", format(value, form))
+
+
 def short(value: float | None) -> str:
     """A measured number as people read it."""
-    return "–" if value is None else "0" if value == 0 else f"{value:.2g}"
+    return "–" if value is None else digits(value)
+
+
+def bound(tolerance: float) -> str:
+    """A tolerance of one pixel; near a discontinuity it grows beyond every number."""
+    return digits(tolerance) if math.isfinite(tolerance) else "none: the values have no bound"
+
+
+def share(ratio: float) -> str:
+    """An error over its tolerance, at most 1, in words."""
+    return "0 %" if ratio == 0 else "less than 0.1 %" if ratio < 0.001 else f"{digits(100 * ratio)} %"
 
 
 def cell(ratio: float | None) -> str:
     """An error over its tolerance, short enough for a table of many columns."""
     if ratio is None or ratio == 0:
         return "–" if ratio is None else "0"
-    return (
-        "<0.01" if ratio < 0.01 else f"{ratio:.2f}" if ratio < 1 else f"{ratio:.3g}" if ratio < 1000 else f"{ratio:.0e}"
-    )
+    if ratio < 0.01:
+        return "<.01"
+    if ratio < 0.995:
+        return f"{ratio:.2f}".removeprefix("0")
+    if 0.995 <= ratio < 1.005 and ratio != 1:  # rounded, it would read as 1 on either side
+        return "<1" if ratio < 1 else ">1"
+    return digits(ratio, ".3g" if ratio < 999.5 else ".0e")
+
+
+def heading(name: str) -> Markup:
+    """The name of a pass in a column as narrow as its cells."""
+    return Markup("&shy;").join(["reflec", breakable(name[6:])]) if name.startswith("reflec") else breakable(name)
 
 
 def breakable(name: str) -> Markup:

@@ -1,0 +1,151 @@
+"""Mitsuba 3 as a reference that keeps to the specification's ray ranges: `mitsuba-spec@llvm` and `mitsuba-spec@scalar`.
+
+What is Mitsuba's: which shape a ray meets first and where (its acceleration structure, its sphere routine, its instance
+transforms), the hit point, its normal, the identity of the shape, the ambient colour (a shape attribute), and the value
+of the BSDF for a direction to the viewer and one to a light.
+
+What is ours: the rays (their origins and directions are worked out in float64 from Mitsuba's float32 hit points), the
+loop over lights and bounces, and the rules of the specification about which hits count. A ray that leaves a sphere has
+a root at its start. Exactly it is 0 and does not count; in float32 Mitsuba may find it a little later. So on the sphere
+that a ray starts on, a hit counts only if it can be the other root: from the inside, and on the way out. Any other hit
+of that sphere is passed over, and the ray goes on behind it. No origin is moved off a surface.
+
+Mitsuba's own integrators move origins by 1e-4 of the scene; here nothing is moved, and the only lengths of ours are
+`SLACK`, one step for rays that go on and one for a light that lies on a surface. docs/tolerances.md derives what
+follows from float32.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.metadata
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from converters import mitsuba as converter
+from converters import mitsuba_plugins
+from tracer.passes import Passes, names
+from validation.renderers import Settings, Uncertainty
+from validation.renderers.mitsuba import llvm
+from validation.renderers.mitsuba.driver import Driver
+from validation.renderers.mitsuba.engines import Arrays, Engine, Loop
+from validation.renderers.mitsuba.precision import RANGE, fits_float32, uncertainty
+
+if TYPE_CHECKING:
+    from tracer import Scene
+    from tracer.margins import Analysis
+
+VARIANTS = {"llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+
+#: How long a picture may take in scalar mode, in seconds, and what a piece of work takes on a machine of 2024. A scene
+#: may need two: one of its own size with the passes that are quick, and a smaller one with the others.
+BUDGET = 2.5
+COST = {"ray": 1.5e-6, "hit": 3e-6, "stock": 1.5e-6, "phong": 7e-6}
+#: The edge of the picture that tells how much work a scene is, in pixels.
+PROBE = 32
+
+
+class MitsubaSpec:
+    """Mitsuba behind the face of a renderer, in one variant."""
+
+    def __init__(self, backend: str) -> None:
+        """`backend` is a key of VARIANTS."""
+        self.backend = backend
+        self.name = f"mitsuba-spec@{backend}"
+
+    def version(self) -> str:
+        """Mitsuba's version and the variant."""
+        return f"{importlib.metadata.version('mitsuba')} {VARIANTS[self.backend]}"
+
+    def versions(self) -> Mapping[str, str]:
+        """Mitsuba, Dr.Jit, the variant, and the compiler where there is one."""
+        versions = {package: importlib.metadata.version(package) for package in ("mitsuba", "drjit")}
+        versions["mitsuba variant"] = VARIANTS[self.backend]
+        if self.backend == "llvm":
+            path, version = llvm.find()
+            versions["LLVM"] = version if path else "none"
+        return versions
+
+    def unavailable(self) -> str | None:
+        """The scalar variant needs nothing."""
+        if self.backend == "scalar":
+            return None
+        path, reason = llvm.find()
+        return None if path else reason
+
+    def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
+        """Every pass but the margins; none where float32 does not hold the scene."""
+        if not fits_float32(scene):
+            return ()
+        return names(len(scene.lights), settings.max_reflections, margins=False)
+
+    def refusal(self, scene: Scene) -> str:
+        """Why it has no pass for a scene."""
+        del scene
+        return f"it has numbers outside {RANGE[0]:g} to {RANGE[1]:g}, which float32 does not hold with their squares"
+
+    def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
+        """What float32 allows; only the variant that compiles intersects in it too."""
+        del analysis
+        return uncertainty(scene, settings, float32_roots=self.backend == "llvm")
+
+    def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        """Exactly the passes asked for.
+
+        Raises:
+            ValueError: a pass that it does not have for this scene.
+            RuntimeError: this variant cannot run here.
+        """
+        if unknown := [name for name in passes if name not in self.passes(scene, settings)]:
+            raise ValueError(f"{self.name} has no pass '{unknown[0]}' for this scene")
+        with self.ready():
+            driver = Driver(scene, settings, self.engine(scene))
+            images = driver.render(passes)
+        size = (scene.view.rows, scene.view.columns)
+        return Passes({name: image.reshape(*size, *image.shape[1:]) for name, image in images.items()}, self.versions())
+
+    def shapes(self, scene: Scene) -> dict[str, Any]:
+        """What is loaded of the scene. Robust: boxes around shapes are not missed by a rounding."""
+        return {"type": "scene", "embree_use_robust_intersections": True, **converter.geometry(scene)}
+
+    def engine(self, scene: Scene) -> Engine:
+        """The scene's shapes in this variant, which is set."""
+        return Arrays(self.shapes(scene)) if self.backend == "llvm" else Loop(self.shapes(scene))
+
+    def ready(self) -> contextlib.AbstractContextManager[None]:
+        """Have the variant set."""
+        if reason := self.unavailable():
+            raise RuntimeError(f"{self.name} cannot run: {reason}")
+        if self.backend == "llvm":
+            os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(llvm.find()[0]))
+        return mitsuba_plugins.variant(VARIANTS[self.backend])
+
+    def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
+        """For the loop, as many as it can do in BUDGET seconds: the work of a small picture tells.
+
+        Counted, not timed, so that the same scene is always drawn at the same size.
+        """
+        if self.backend == "llvm":
+            return None
+        return _loop_pixels(scene, tuple(passes))
+
+
+@functools.lru_cache(maxsize=256)
+def _loop_pixels(scene: Scene, passes: tuple[str, ...]) -> int | None:
+    view = scene.view
+    if view.columns * view.rows <= PROBE * PROBE:
+        return None
+    small = scene.replace(view=view.replace(columns=PROBE, rows=PROBE))
+    scalar = MitsubaSpec("scalar")
+    with scalar.ready():
+        engine = Loop(scalar.shapes(small))
+        Driver(small, Settings(), engine).render(passes)
+    seconds = sum(COST[kind] * count for kind, count in engine.work.items())
+    return max(PROBE * PROBE, int(BUDGET / seconds * PROBE * PROBE))
+
+
+def renderers() -> list[MitsubaSpec]:
+    """The entry point: the best first."""
+    return [MitsubaSpec("llvm"), MitsubaSpec("scalar")]
