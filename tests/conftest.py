@@ -13,8 +13,10 @@ from hypothesis import settings
 ROOT = Path(__file__).resolve().parent.parent
 
 # Machines that do several things at once are slow now and then, which says nothing about the code.
-settings.register_profile("whitted", deadline=None)
+settings.register_profile("whitted", deadline=None, derandomize=True)
 settings.load_profile("whitted")
+# Other examples at every run, to look for new ones: pytest --hypothesis-profile=random
+settings.register_profile("random", deadline=None)
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and what they start would ignore it too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
