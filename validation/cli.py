@@ -15,11 +15,12 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.exceptions import NoArgsIsHelpError
 
+from validation.options import SAMPLES, Names, Size, positive, settings_options
 from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
 
 if TYPE_CHECKING:
@@ -27,14 +28,10 @@ if TYPE_CHECKING:
     from tracer.passes import Passes
     from validation.renderers import Renderer, Settings
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-#: Those of tracer.passes, which takes longer to import than help may take; a test holds them together.
-SAMPLES = ("corner", "center", "bottom-left", "inclusive")
 PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
 DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED = 1, 2, 3, 130, 128 + 13
-#: As tracer limits them.
-MOST_THREADS, LONGEST_SIDE = 1024, 100_000
+#: As the scene format limits columns and rows.
+LONGEST_SIDE = 100_000
 
 
 class ReaderGoneError(Exception):
@@ -123,92 +120,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         # Python must not complain about it again when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(status if isinstance(status, int) else 0)
-
-
-class Names(click.ParamType[tuple[str, ...]]):
-    """A list of names with commas between them."""
-
-    name = "NAME[,NAME...]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Split at the commas."""
-        if isinstance(value, tuple):
-            return value
-        parts = tuple(part.strip() for part in value.split(","))
-        if not all(parts):
-            self.fail(f"'{value}' has an empty name", param, ctx)
-        return tuple(dict.fromkeys(parts))
-
-
-class Size(click.ParamType[tuple[int, int]]):
-    """COLUMNSxROWS."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Two positive integers."""
-        if isinstance(value, tuple):
-            return value
-        found = re.fullmatch(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", value)
-        if not found:
-            self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
-        return int(found[1]), int(found[2])
-
-
-def _positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
-    if not 0 <= value < float("inf"):
-        raise click.BadParameter(f"{value} is not a finite number from 0 on", param=parameter)
-    return value
-
-
-def _epsilon(_: click.Context, parameter: click.Parameter, value: float) -> float:
-    if not 0 <= value < 1:
-        raise click.BadParameter(f"{value} is not a number from 0 to below 1", param=parameter)
-    return value
-
-
-def settings_options(function: Function) -> Function:
-    """The options that `raytrace` has too."""
-    for option in reversed(
-        (
-            click.option(
-                "--sample",
-                type=click.Choice(SAMPLES),
-                default="corner",
-                show_default=True,
-                help="Where in its pixel a ray goes through.",
-            ),
-            click.option(
-                "--shadow-epsilon",
-                type=float,
-                default=1e-4,
-                show_default=True,
-                callback=_epsilon,
-                metavar="E",
-                help="Blockers with t <= E cast no shadow.",
-            ),
-            click.option(
-                "--max-reflections",
-                type=click.IntRange(0, 100),
-                default=3,
-                show_default=True,
-                metavar="N",
-                help="Reflected rays in a chain.",
-            ),
-            click.option(
-                "--threads",
-                type=click.IntRange(0, MOST_THREADS),
-                default=0,
-                metavar="N",
-                help="Threads; 0, the default: all.",
-            ),
-            click.option(
-                "--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images."
-            ),
-        )
-    ):
-        function = option(function)
-    return function
 
 
 @contextmanager
@@ -595,7 +506,7 @@ def convert(
     type=float,
     default=0.0,
     show_default=True,
-    callback=_positive,
+    callback=positive,
     metavar="T",
     help="Largest difference that counts as equal.",
 )

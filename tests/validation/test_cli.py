@@ -332,8 +332,8 @@ def test_an_instruction_set_that_is_not_there(
 
 
 def test_the_samples_are_those_of_the_renderers() -> None:
-    assert cli.SAMPLES == SAMPLES
-    assert cli.MOST_THREADS == _native.MOST_THREADS
+    assert options.SAMPLES == SAMPLES
+    assert options.MOST_THREADS == _native.MOST_THREADS
 
 
 def test_renderers_lists_them(run: Any, registered: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
@@ -52,7 +53,7 @@ def uncertainty(precision: Precision, scene: Scene, settings: Settings) -> Uncer
     )
 
 
-class FloatRenderer:
+class FloatRenderer(ABC):
     """One of our own renderers in one precision; a subclass says what draws, and with what."""
 
     program: ClassVar[str]
@@ -74,9 +75,9 @@ class FloatRenderer:
         """The package, and what it is made with."""
         return {"whitted": tracer.version(), **self.parts()}
 
+    @abstractmethod
     def parts(self) -> Mapping[str, str]:
         """What else decides about its results, with versions."""
-        raise NotImplementedError
 
     def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
         """Every pass of the scene; the margins only where it has them."""
@@ -91,9 +92,9 @@ class FloatRenderer:
         del analysis
         return uncertainty(self.precision, scene, settings)
 
+    @abstractmethod
     def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
         """Exactly the passes asked for."""
-        raise NotImplementedError
 
     def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
         """The same for every scene."""

@@ -1,0 +1,104 @@
+"""Options and types of parameters that several commands of `whitted` share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Those of tracer.passes, which takes longer to import than help may take; a test holds them together.
+SAMPLES = ("corner", "center", "bottom-left", "inclusive")
+#: As tracer limits them.
+MOST_THREADS = 1024
+
+
+class Names(click.ParamType[tuple[str, ...]]):
+    """A list of names with commas between them."""
+
+    name = "NAME[,NAME...]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Split at the commas."""
+        if isinstance(value, tuple):
+            return value
+        parts = tuple(part.strip() for part in value.split(","))
+        if not all(parts):
+            self.fail(f"'{value}' has an empty name", param, ctx)
+        return tuple(dict.fromkeys(parts))
+
+
+class Size(click.ParamType[tuple[int, int]]):
+    """COLUMNSxROWS."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Two positive integers."""
+        if isinstance(value, tuple):
+            return value
+        found = re.fullmatch(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", value)
+        if not found:
+            self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+def positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    """A finite number from 0 on."""
+    if not 0 <= value < float("inf"):
+        raise click.BadParameter(f"{value} is not a finite number from 0 on", param=parameter)
+    return value
+
+
+def epsilon(_: click.Context, parameter: click.Parameter, value: float) -> float:
+    """A number from 0 to below 1."""
+    if not 0 <= value < 1:
+        raise click.BadParameter(f"{value} is not a number from 0 to below 1", param=parameter)
+    return value
+
+
+def settings_options(function: Function) -> Function:
+    """The options that `raytrace` has too."""
+    for option in reversed(
+        (
+            click.option(
+                "--sample",
+                type=click.Choice(SAMPLES),
+                default="corner",
+                show_default=True,
+                help="Where in its pixel a ray goes through.",
+            ),
+            click.option(
+                "--shadow-epsilon",
+                type=float,
+                default=1e-4,
+                show_default=True,
+                callback=epsilon,
+                metavar="E",
+                help="Blockers with t <= E cast no shadow.",
+            ),
+            click.option(
+                "--max-reflections",
+                type=click.IntRange(0, 100),
+                default=3,
+                show_default=True,
+                metavar="N",
+                help="Reflected rays in a chain.",
+            ),
+            click.option(
+                "--threads",
+                type=click.IntRange(0, MOST_THREADS),
+                default=0,
+                metavar="N",
+                help="Threads; 0, the default: all.",
+            ),
+            click.option(
+                "--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images."
+            ),
+        )
+    ):
+        function = option(function)
+    return function
