@@ -25,7 +25,7 @@ from rich.console import Console
 import validation.__main__ as program
 from tracer import _native
 from tracer.passes import SAMPLES, Passes
-from validation import cli, renderers, terminal
+from validation import cli, options, renderers, terminal
 from validation.compare import Comparison
 from validation.renderers import Registry, Settings, Uncertainty
 from validation.run import Validation
