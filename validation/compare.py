@@ -171,6 +171,7 @@ class Judge:
         by delta times its distance from the principal point each, to either side: a band `8 delta reach` wide. What a
         hit adds is carried on to the next: the band of the k-th hit is k times as wide.
 
+        `delta` is the median over the image: what a renderer claims for a few of its pixels must not widen all bands.
         A band covers as many pixels as its area says; a straight curve along the grid can put every pixel of its
         length on itself, whatever the width: `length` once. Never more than a quarter of the image, so that three
         quarters are always compared; of the smallest images one pixel may be an edge.
@@ -193,7 +194,7 @@ class Judge:
         band = 0.0
         for kind in MARGINS:
             delta = np.maximum(getattr(self.renderer, kind), getattr(self.reference, kind))
-            band += curves[kind] * hits * (hits + 1) / 2 * 8.0 * float(np.mean(delta)) * reach
+            band += curves[kind] * hits * (hits + 1) / 2 * 8.0 * float(np.median(delta)) * reach
         most: float = min(length * (1.0 + band), rows * columns / 4)
         return math.ceil(most)
 

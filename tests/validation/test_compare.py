@@ -185,6 +185,16 @@ def test_too_many_edge_pixels_are_a_failure_even_of_equal_pictures(kind: str, si
     assert "too many edge pixels: 768 of 768" in comparison.reasons[0]
 
 
+@pytest.mark.parametrize("kind", MARGINS)
+@pytest.mark.parametrize("claimed", [2.0, np.inf])
+def test_what_is_claimed_for_a_few_pixels_does_not_raise_the_limit(kind: str, claimed: float) -> None:
+    few = np.full(SHAPE, 1e-6)
+    few[: ROWS // 3] = claimed
+    by = judge(a=dataclasses.replace(claim(), **{kind: few}))
+    assert by.edge_cap() == judge().edge_cap()
+    assert "too many edge pixels" in compare(passes(), passes(), "beauty", by).reasons[0]
+
+
 def test_the_limit_of_edge_pixels() -> None:
     exact = claim(decision=0.0)
     # 20 pixels of outlines and the frame, 2 (24 + 32): a straight curve along the grid on each of them.
