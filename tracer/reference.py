@@ -23,8 +23,11 @@ Real = NDArray[np.floating[Any]]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
-# A discriminant as little below 0 as this many roundings can bring it counts as 0. docs/tolerances.md derives it.
+# A discriminant as little below 0 as this many roundings can bring it counts as 0, and so does f at the image plane.
+# docs/tolerances.md derives both.
 TANGENT = 16
+# Beyond this f has lost its digits.
+WIDEST = 0.5
 # Rays traced at a time: the arrays of one band stay in the cache.
 BAND = 1 << 15
 
@@ -71,6 +74,13 @@ class Tables:
         # A light on a surface, as far as float64 can tell: |(p - p_j) / s_j|^2 is off by at most 8 roundings of 2^-53.
         place = (light[:, None, :] - position[:, :, None]) / scaling[:, :, None]
         self.light_on = np.abs((place**2).sum(axis=0) - 1) <= 8 * 2.0**-53
+
+        # Spheres that reach the image plane (|y_z| = 1.25 is beyond f = WIDEST), and their part of f's rounding bound.
+        view = scene.view
+        corner = np.array([[view.left], [view.top], [0.0]])
+        reach = (np.abs(position) + 0.375 * np.abs(corner)) / scaling
+        on_plane = np.abs(view.near + position[2]) <= 1.25 * scaling[2]
+        self.plane = {j: reach[:, j : j + 1].astype(real) for j in self.distinct if on_plane[j]}
 
         self.color = column([s.color for s in spheres])
         self.ka, self.kd, self.ks, self.kr, self.exponent = (
@@ -148,6 +158,20 @@ def chord(origin: Real, direction: Real) -> Chord:
     return Chord(discriminant >= -bound, near, far, height, axis, speed, middle, discriminant, half)
 
 
+def settle_plane(line: Chord, origin: Real, direction: Real, plane: Real) -> None:
+    """A root of f = |y|^2 - 1 within its rounding bound of the image plane, t = 1, is 1.
+
+    It is the near root where the ray runs inwards at its point y = origin + direction, y.d < 0, else the far one.
+    """
+    y = origin + direction
+    size, reach = np.abs(y), np.abs(direction) + plane
+    roundings = TANGENT * np.finfo(y.dtype).eps / 2
+    on = np.abs(dot(y, y) - 1) <= np.minimum(roundings * (1 + dot(size, reach)), WIDEST)
+    inwards = dot(y, direction) < -roundings * dot(size + np.abs(direction), reach)
+    line.near[on] = 1
+    line.far[on & ~inwards] = 1
+
+
 def other_root(point: Real, direction: Real) -> Real:
     """Where a ray that starts at a point of the unit sphere meets it again: its roots are 0 and this one."""
     return -2 * dot(point, direction) / dot(direction, direction)
@@ -160,7 +184,10 @@ def to_unit_space(tables: Tables, rays: Rays, direction: Real, j: int) -> tuple[
 
 
 def nearest(tables: Tables, rays: Rays, after: float) -> Hits:
-    """The smallest t > after of each ray; of equal ones that of the sphere that is first in the file."""
+    """The smallest t > after of each ray; of equal ones that of the sphere that is first in the file.
+
+    `after` is 1, the image plane, for primary rays, and 0 for reflected ones.
+    """
     count = rays.start.size
     best = Hits(
         np.full(count, -1), np.full(count, np.inf, tables.real), np.zeros(count, bool), np.zeros_like(rays.direction)
@@ -168,6 +195,8 @@ def nearest(tables: Tables, rays: Rays, after: float) -> Hits:
     for j in tables.distinct:
         origin, direction = to_unit_space(tables, rays, rays.direction, j)
         line = chord(origin, direction)
+        if after == 1 and j in tables.plane:
+            settle_plane(line, origin, direction, tables.plane[j])
         far = ~(line.near > after)
         t = np.where(far, line.far, line.near)
         candidate = np.flatnonzero(line.meets & (t > after) & (t < best.t) & (rays.start != j))
@@ -314,9 +343,9 @@ def trace(tables: Tables, rays: Rays, max_reflections: int) -> Iterator[tuple[Ra
             return
 
 
-def bands(view: View) -> Iterator[range]:
+def bands(view: View, rays: int = BAND) -> Iterator[range]:
     """The rows of the image, a few at a time."""
-    step = max(1, BAND // view.columns)
+    step = max(1, rays // view.columns)
     for row in range(0, view.rows, step):
         yield range(row, min(row + step, view.rows))
 

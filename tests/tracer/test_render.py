@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import itertools
+import math
 import platform
 import re
 import signal
@@ -15,6 +16,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from tracer import Light, Scene, Sphere, View, reference
 from tracer._render import Precision
 from tracer.margins import EDGE_ROUNDINGS, VALUE_ROUNDINGS, Analysis, analyse
 from tracer.passes import SAMPLES, Passes, Sample, lookup, names
+from validation.truth import Prover
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = {"f64": 2.0**-53, "f32": 2.0**-24}
@@ -649,6 +652,117 @@ class TestProperties:
                 assert name == "depth" or np.isfinite(image[name]).all(), name
             lengths = np.linalg.norm(image["normal"].astype(float), axis=-1)
             assert np.all(np.abs(lengths[hit] - 1) < 1e-5)
+
+
+def grid_ties(seed: int) -> tuple[Scene, list[tuple[int, int]]]:
+    """A sphere that meets the image plane exactly at some pixels (column, row), which are all of them.
+
+    Positions and scalings are whole multiples of five pixels, so that most of the rays are no binary fractions.
+    """
+    random = np.random.default_rng(seed)
+    while True:
+        size = int(random.choice((50, 100, 200)))
+        unit = 1 / int(random.choice((1, 2, 4, 8)))  # of five pixels
+        scaling = random.integers(1, 20, 3) if random.random() < 0.5 else np.full(3, random.integers(1, 20))
+        x, y = random.integers(-size // 10, size // 10 + 1, 2)
+        depth, near = int(random.integers(-scaling[2], scaling[2] + 1)), int(random.integers(1, 20))
+        # |(d - p) / s|^2 = 1 in whole numbers.
+        i, j = np.arange(size) - size // 2 - 5 * x, size // 2 - np.arange(size) - 5 * y
+        a, b, c = (int(s) for s in scaling)
+        power = (i[None, :] * b * c) ** 2 + (j[:, None] * a * c) ** 2 + (5 * depth * a * b) ** 2
+        tied = [(int(column), int(row)) for row, column in np.argwhere(power == (5 * a * b * c) ** 2)]
+        if tied:
+            break
+    half = size * unit / 10
+    view = View(near=near * unit, left=-half, right=half, bottom=-half, top=half, columns=size, rows=size)
+    place = (x * unit, y * unit, -(near + depth) * unit)
+    return Scene(view=view, spheres=(ball(*place, (a * unit, b * unit, c * unit)),)), tied
+
+
+def beyond_the_plane(scene: Scene, column: int, row: int) -> float:
+    """The depth of the only sphere, behind t = 1, for a ray with a root exactly there."""
+    view, sphere = scene.view, scene.spheres[0]
+    left, right, bottom, top = (Fraction(side) for side in (view.left, view.right, view.bottom, view.top))
+    across = left + (right - left) * column / view.columns
+    world = (across, top - (top - bottom) * row / view.rows, Fraction(-view.near))
+    d = [a / Fraction(s) for a, s in zip(world, sphere.scaling, strict=True)]
+    y = [a - Fraction(p) / Fraction(s) for a, p, s in zip(d, sphere.position, sphere.scaling, strict=True)]
+    assert sum(a * a for a in y) == 1
+    # The sum of both roots is -2 o.d / d.d, and o = y - d.
+    other = 1 - 2 * sum(a * b for a, b in zip(y, d, strict=True)) / sum(b * b for b in d)
+    return float(other) * math.sqrt(sum(a * a for a in world)) if other > 1 else math.inf
+
+
+def drawn(scene: Scene, passes: tuple[str, ...], precision: Precision) -> Iterator[tuple[str, Passes]]:
+    """The scene from the renderer on every instruction set, and from the reference."""
+    with pytest.MonkeyPatch.context() as patch:
+        for isa in supported(patch):
+            patch.setenv("WHITTED_ISA", isa)
+            yield isa, tracer.render(scene, passes, precision=precision)
+    yield "numpy", reference.render(scene, passes, precision=precision)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+class TestARootOnTheImagePlane:
+    """t = 1 itself does not count, though rounding may bring it above."""
+
+    def test_where_a_bowl_is_cut(self, precision: Precision) -> None:
+        """The proof of every pixel that ties: (column - 140)^2 + (row - 200)^2 = 18000."""
+        scene = tracer.load(ROOT / "scenes/spec/light-inside.txt")
+        prover = Prover(scene)
+        columns, rows = np.meshgrid(np.arange(400), np.arange(400))
+        tied = np.argwhere((columns - 140) ** 2 + (rows - 200) ** 2 == 18000)
+        assert len(tied) == 16
+        for name, image in drawn(scene, ("beauty", "id", "depth"), precision):
+            for row, column in tied.tolist():
+                truth = prover.pixel(column, row)
+                assert [tie.key.what for tie in truth.ties] == ["start"]
+                assert image["id"][row, column] == truth.id == 0, name
+                for passed in ("beauty", "depth"):
+                    exact = [ball.value for ball in truth.values[passed]]
+                    found = np.atleast_1d(image[passed][row, column])
+                    assert found == pytest.approx(exact, rel=64 * UNIT[precision], abs=64 * UNIT[precision]), name
+
+    def test_any_tie(self, precision: Precision) -> None:
+        """The far side is seen where the ray enters there, nothing where it leaves or touches."""
+        short = {"f64": 1e-10, "f32": 1e-3}[precision]  # chords may be, and that costs digits
+        seen = []
+        for seed in range(150):
+            scene, tied = grid_ties(seed)
+            exact = {at: beyond_the_plane(scene, *at) for at in tied}
+            seen += [math.isfinite(depth) for depth in exact.values()]
+            for name, image in drawn(scene, ("id", "depth"), precision):
+                for (column, row), depth in exact.items():
+                    assert image["id"][row, column] == (0 if math.isfinite(depth) else -1), (seed, name)
+                    assert image["depth"][row, column] == pytest.approx(depth, rel=short), (seed, name)
+        assert min(sum(seen), len(seen) - sum(seen)) > 100
+
+    def test_leaves_or_touches_there(self, precision: Precision) -> None:
+        view = View(near=4, left=3, right=4, bottom=-1, top=0, columns=1, rows=1)  # its ray is (3, 0, -4)
+        for position, scaling in (
+            ((1.5, 0.0, -2.0), 2.5),  # from the eye to t = 1, along the ray
+            ((3.0, 0.0, -3.0), 1.0),  # the far side along the axis
+            ((-1.0, 0.0, -7.0), 5.0),  # touches at t = 1: y = (4, 0, 3) / 5, across the ray
+            ((0.6, 0.0, -5.8), 3.0),  # the same, but for the rounding of the numbers
+        ):
+            scene = Scene(view=view, spheres=(ball(*position, scaling),))
+            for name, image in drawn(scene, ("id",), precision):
+                assert image["id"].tolist() == [[-1]], (position, name)
+
+    def test_a_near_miss_is_none(self, precision: Precision) -> None:
+        """A little before or behind the plane, the hit is where it is."""
+        gap = {"f64": 1e-6, "f32": 1e-4}[precision]
+        view = View(near=3, left=0, right=1, bottom=-1, top=0, columns=1, rows=1)  # its ray is the axis
+        for z, depth in (
+            (-5 - gap, 3 + gap),  # the near side behind the plane
+            (-5.0, 7),
+            (-5 + gap, 7 - gap),
+            (-1 - gap, 3 + gap),  # the far side behind the plane
+            (-1.0, math.inf),
+            (-1 + gap, math.inf),
+        ):
+            for name, image in drawn(Scene(view=view, spheres=(ball(0, 0, z, 2),)), ("depth",), precision):
+                assert image["depth"][0, 0] == pytest.approx(depth, rel=8 * UNIT[precision], abs=0), (z, name)
 
 
 def test_a_small_sphere_far_away_keeps_its_shape() -> None:

@@ -16,6 +16,8 @@ struct SphereConstants {
     Real eye[3];                    // the eye in the sphere's unit space: -p / |s|
     Real eye_power;                 // |eye|^2 - 1, from float64: below 0 when the eye is inside
     Real eye_distance_squared;      // |eye|^2
+    bool meets_plane;               // whether it reaches the image plane z = -near, where primary rays begin to count
+    Real plane_reach[3];            // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
     Real ambient[3];                // Ka Ia O
     Real color[3];                  // O
     Real reflection;                // Kr

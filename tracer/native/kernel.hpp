@@ -22,8 +22,8 @@ struct Kernel {
     static constexpr Real zero = 0;
     static constexpr Real one = 1;
     static constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
-    // The rounding bound of D, and a bound above it that is cheap: 64 u max(1, |origin|). docs/tolerances.md,
-    // section 2.
+    // The rounding bound of D and of f(1), and a bound above that of D that is cheap: 64 u max(1, |origin|).
+    // docs/tolerances.md, section 2.
     static constexpr Real tangent_roundings = 16 * unit_roundoff;
     static constexpr Real touch_reach = 64 * unit_roundoff;
     // Beyond this the digits of D are lost anyway; without it a far, small sphere would grow without end.
@@ -38,6 +38,7 @@ struct Kernel {
         WHITTED_INLINE Vec operator-() const { return {-x, -y, -z}; }
     };
     static WHITTED_INLINE P dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+    static WHITTED_INLINE Vec absolute3(Vec a) { return {absolute(a.x), absolute(a.y), absolute(a.z)}; }
     static WHITTED_INLINE Vec select3(Lanes yes, Vec a, Vec b) {
         return {select(yes, a.x, b.x), select(yes, a.y, b.y), select(yes, a.z, b.z)};
     }
@@ -104,15 +105,31 @@ struct Kernel {
     static WHITTED_INLINE Hit no_hit() { return {P(-one), P(Real(__builtin_inf())), broadcast_zero(), Lanes::none()}; }
     static WHITTED_INLINE Vec broadcast_zero() { return {P(zero), P(zero), P(zero)}; }
 
+    // The image plane, at the ray's point y = eye + d: a root of f = |y|^2 - 1 within its rounding bound of t = 1 is 1,
+    // so it does not count. It is the near root where the ray runs inwards there, y.d < 0, else the far one.
+    static WHITTED_INLINE void settle_plane(const SphereConstants<Real> &sphere, Vec d, Roots &roots) {
+        const Vec y = broadcast(sphere.eye) + d;
+        const Vec size = absolute3(y);
+        const Vec reach = absolute3(d) + broadcast(sphere.plane_reach);
+        const P bound = P(tangent_roundings) * (P(one) + dot(size, reach));
+        const Lanes on = absolute(dot(y, y) - P(one)) <= minimum(bound, P(widest_touch));
+        if (!any(on)) return;
+        const Lanes inwards = dot(y, d) < -(P(tangent_roundings) * dot(size + absolute3(d), reach));
+        roots.near_t = select(on, P(one), roots.near_t);
+        roots.far_t = select(on & !inwards, P(one), roots.far_t);
+    }
+
     // Primary rays: the smallest t > 1; of equal ones the first in the file.
     static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, Vec direction) {
         Hit nearest = no_hit();
         for (std::size_t j = 0; j < scene.sphere_count; ++j) {
             const SphereConstants<Real> &sphere = scene.spheres[j];
             const Vec d = direction * broadcast(sphere.inverse_scale);
-            const Roots roots =
+            Roots roots =
                 intersect(broadcast(sphere.eye), P(sphere.eye_power), d, reach_squared(P(sphere.eye_distance_squared)));
             if (!any(roots.real)) continue;
+            if (sphere.meets_plane) [[unlikely]]
+                settle_plane(sphere, d, roots);
             const Lanes far = !(roots.near_t > P(one));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = roots.real & (t > P(one)) & (t < nearest.t);

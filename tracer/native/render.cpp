@@ -90,6 +90,18 @@ bool on_surface(const Sphere &sphere, const Light &light) {
     return std::abs(power) <= 8 * unit_roundoff<double> * size;
 }
 
+// The image plane, for a sphere: whether there is anything to decide there, and its part of the rounding bound.
+template <class Real>
+void meet_plane(SphereConstants<Real> &to, const Sphere &sphere, const View &view) {
+    // f = |y|^2 - 1 counts as 0 up to 0.5 at most, which is beyond |y_z| = 1.25.
+    to.meets_plane = std::abs(view.near_plane + sphere.position[2]) <= 1.25 * std::abs(sphere.scaling[2]);
+    const double corner[3] = {view.left, view.top, 0};
+    for (std::size_t k = 0; k < 3; ++k) {
+        const double reach = std::abs(sphere.position[k]) + 0.375 * std::abs(corner[k]);
+        to.plane_reach[k] = static_cast<Real>(reach / std::abs(sphere.scaling[k]));
+    }
+}
+
 // Sets the default rounding and denormal modes for its lifetime.
 class DefaultFloatingPoint {
   public:
@@ -222,6 +234,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             }
             to.eye_power = static_cast<Real>(power);
             to.eye_distance_squared = static_cast<Real>(power + 1);
+            meet_plane(to, sphere, from.view);
             narrow(to.color, sphere.color);
             to.reflection = static_cast<Real>(sphere.kr);
             to.exponent = static_cast<Real>(sphere.exponent);
