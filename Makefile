@@ -6,11 +6,12 @@ PACKAGES := git make g++ python3-dev python3-venv
 NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
 CPUS := $(shell nproc 2>/dev/null || echo 2)
 
-.PHONY: help demo test lint clean install always
+.PHONY: help demo certify test lint clean install always
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    validate the bundled scenes against Mitsuba and write report/index.html"
+	@echo "make certify prove pixels of the bundled scenes and hold our renderers against them"
 	@echo "make test    run the whole test suite"
 	@echo "make lint    ruff, mypy, import-linter, clang-format, and C++ without a warning"
 	@echo "make clean   remove everything that the other targets made"
@@ -52,6 +53,10 @@ install: $(VENV)/installed
 demo: install
 	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report; status=$$?; \
 	$(BIN)/whitted renderers --missing; exit $$status
+
+certify: install
+	$(BIN)/whitted truth scenes/gallery scenes/spec --renderer native-f64,native-f32,numpy-f64,numpy-f32 \
+		--pixels 2000 --edges 500
 
 test: install
 	$(BIN)/python -m pytest -n $(CPUS) --dist worksteal; status=$$?; $(BIN)/whitted renderers --missing; exit $$status

@@ -1,10 +1,11 @@
-"""The command `whitted`: validate, render, convert, compare, renderers."""
+"""The command `whitted`: validate, explain, truth, render, convert, compare, renderers."""
 
 # Everything but click is imported where it is used: `whitted --help` answers at once.
 from __future__ import annotations
 
 import difflib
 import importlib.metadata
+import itertools
 import json
 import os
 import re
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from validation.options import SAMPLES, Names, Size, positive, settings_options
+from validation.options import SAMPLES, Count, Names, Size, positive, settings_options
 from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
 
 if TYPE_CHECKING:
@@ -263,6 +264,14 @@ def whitted() -> None:
 @settings_options
 @click.option("--report", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write DIR/index.html.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.option(
+    "--verdicts",
+    type=click.IntRange(0),
+    default=MOST_VERDICTS,
+    show_default=True,
+    metavar="N",
+    help="Judge so many differing pixels of a scene and pair, of more a random sample.",
+)
 @click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
 @click.pass_context
 def validate(
@@ -275,12 +284,17 @@ def validate(
     size: tuple[int, int] | None,
     report: Path | None,
     json_file: Path | None,
+    verdicts: int,
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Compare renderers on scene files and on all scenes (*.txt) below folders.
+    """Compare renderers on scene files and on all scenes (*.txt) below folders, and judge where they differ.
 
-    Exit status: 0 all agree, 1 some differ, 2 the input or the command is wrong, 3 a renderer failed.
+    \b
+    whitted validate scenes/gallery/mirrors.txt --report out
+    whitted validate scenes --renderer native-f64 --against mitsuba-spec,numpy-f64 --size 100x100
+
+    Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a renderer failed.
     """
     from validation import renderers
     from validation.run import load_scenes
@@ -315,6 +329,7 @@ def validate(
                 size=size,
                 settings=_settings(options),
                 limits=not options["no_limits"],
+                verdicts=verdicts,
                 on_rendered=page.add if page else None,
                 progress=progress,
             )
@@ -459,6 +474,219 @@ def _refuse(name: str, program: str, delivers: Sequence[str], known: Sequence[st
     hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(delivers)}"
     what = f"{program} has no pass '{name}'" if name in known else f"unknown pass '{name}'"
     raise CommandError(what, hint)
+
+
+class OnePixel(click.Command):
+    """A command whose negative numbers are pixels, not options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words."""
+        for before, word in itertools.pairwise(["", *args]):
+            if re.fullmatch(r"-[0-9.]+", word) and not before.startswith("--"):
+                raise CommandError(f"'{word}' is no column or row of an image", "both count from 0 at the top left")
+        return super().parse_args(ctx, args)
+
+
+def _whole(context: click.Context, parameter: click.Parameter, value: str) -> int:
+    """A column or row."""
+    if not re.fullmatch("[0-9]{1,9}", value):
+        what = {"x": "column", "y": "row"}[str(parameter.name)]
+        hint = "one scene, then the column and the row from 0 at the top left: whitted explain SCENE X Y"
+        raise CommandError(f"{parameter.make_metavar(context)}: '{value}' is not the number of a {what}", hint)
+    return int(value)
+
+
+def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str, ...]) -> None:
+    del parameter
+    if value:
+        raise CommandError(f"'{value[0]}' is one word too many", "one pixel at a time: whitted explain SCENE X Y")
+
+
+@whitted.command(cls=OnePixel)
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("x", callback=_whole)
+@click.argument("y", callback=_whole)
+@click.argument("more", nargs=-1, metavar="", callback=_nothing_more, expose_value=False)
+@click.option("--renderer", type=Names(), help="Renderers to hold against truth; default: all that can draw the scene.")
+@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@settings_options
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write all of it as JSON.")
+@click.pass_context
+def explain(
+    ctx: click.Context,
+    /,
+    scene: Path,
+    x: int,
+    y: int,
+    renderer: tuple[str, ...] | None,
+    size: tuple[int, int] | None,
+    json_file: Path | None,
+    **options: Any,
+) -> None:
+    """Explain one pixel: column X, row Y of SCENE, from 0 at the top left.
+
+    What its ray hits bounce by bounce, which lights reach that and what hides the others, what each term adds: proved,
+    not rounded. Then where each renderer first differs from it.
+
+    \b
+    whitted explain scenes/gallery/mirrors.txt 200 250
+    whitted explain scenes/spec/equal-hits.txt 72 200 --renderer native-f64,mitsuba-spec
+
+    Exit status: 0 explained, 2 the input or the command is wrong, 3 a renderer failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation import renderers
+    from validation.explain import explain as run
+    from validation.explain_text import print_explanation
+    from validation.run import resized
+    from validation.truth import UnprovedError
+
+    with _errors():
+        chosen = [renderers.get(name) for name in renderer] if renderer else list(renderers.all())
+        _check_size(size, no_limits=options["no_limits"])
+        loaded = _load(scene, no_limits=options["no_limits"])
+        loaded = resized(loaded, size, limits=False) if size else loaded
+        label = "<stdin>" if str(scene) == "-" else str(scene)
+        _check_pixels({label: loaded}, ((x, y),), None)
+        if json_file:
+            _parent(json_file)
+        try:
+            with _progress() as progress:
+                told = run(
+                    loaded, x, y, _settings(options), list(dict.fromkeys(chosen)), label=label, progress=progress
+                )
+        except UnprovedError as error:
+            raise CommandError(str(error), "whitted explain another pixel", FAILED) from error
+        print_explanation(told)
+        if json_file:
+            _write_text(json_file, json.dumps(told.record(), indent=1, allow_nan=False) + "\n")
+    ctx.exit(FAILED if told.failed else 0)
+
+
+@whitted.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
+@click.option(
+    "--pixels", type=Count(), metavar="N|all", help="How many random pixels; default: 10, with --renderer 2000."
+)
+@click.option(
+    "--at", type=click.IntRange(0), nargs=2, multiple=True, metavar="X Y", help="This pixel; may be repeated."
+)
+@click.option("--renderer", type=Names(), help="Renderers to hold against the proved values; default: none.")
+@click.option("--edges", type=click.IntRange(0), metavar="N", help="Pixels nearest to a decision; default: 500.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S", help="Of the random pixels.")
+@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@settings_options
+@click.option("--jobs", type=click.IntRange(1, 1024), metavar="N", help="Processes that prove; default: one a core.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With --pixels all: the proved image, .npz, .exr, .png or .ppm.",
+)
+@click.pass_context
+def truth(
+    ctx: click.Context,
+    /,
+    scenes: tuple[Path, ...],
+    pixels: int | None,
+    at: tuple[tuple[int, int], ...],
+    renderer: tuple[str, ...] | None,
+    edges: int | None,
+    seed: int,
+    size: tuple[int, int] | None,
+    jobs: int | None,
+    json_file: Path | None,
+    output: Path | None,
+    **options: Any,
+) -> None:
+    """Prove what single pixels of scenes are, and hold renderers against that.
+
+    \b
+    whitted truth scenes/gallery/mirrors.txt --at 200 150
+    whitted truth scenes/spec/one-pixel.txt --pixels all -o proved.npz
+    whitted truth scenes --renderer native-f64,native-f32 --pixels 2000 --edges 500
+
+    With --renderer exit status 0 means that all renderers hold what they claim, 1 that some do not, 3 that one failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation.certify import EDGES, PIXELS, certify_scenes, print_certification
+    from validation.proofs import PROVED, tell
+    from validation.run import load_scenes, resized
+    from validation.truth import UnprovedError
+
+    command = _command()
+    with _errors():
+        _check_truth(pixels, at, renderer, edges, output)
+        _check_size(size, no_limits=options["no_limits"])
+        loaded = load_scenes(scenes, limits=not options["no_limits"])
+        if size:
+            loaded = {label: resized(scene, size, limits=False) for label, scene in loaded.items()}
+        _check_pixels(loaded, at, output)
+        for file in filter(None, (json_file, output)):
+            _parent(file)
+        settings, status = _settings(options), 0
+        # On a terminal what is printed beside the progress would go where the progress goes.
+        lines: Sequence[str] = ()
+        try:
+            with _progress() as progress:
+                common: dict[str, Any] = {"seed": seed, "jobs": jobs, "progress": progress}
+                if renderer:
+                    common |= {"pixels": pixels or PIXELS, "edges": EDGES if edges is None else edges}
+                    result = certify_scenes(loaded, renderer, settings, **common)
+                else:
+                    common |= {"json_file": json_file, "output": output, "command": command}
+                    lines = tell(loaded, at or pixels or PROVED, settings, **common)
+        except UnprovedError as error:
+            raise CommandError(str(error), "--at proves other pixels", FAILED) from error
+        for line in lines:
+            click.echo(line)
+        if renderer:
+            result.command, status = command, result.status
+            print_certification(result)
+            if json_file:
+                _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+    ctx.exit(status)
+
+
+def _check_truth(
+    pixels: int | None,
+    at: tuple[tuple[int, int], ...],
+    renderer: tuple[str, ...] | None,
+    edges: int | None,
+    output: Path | None,
+) -> None:
+    """Whether the options of `truth` fit each other."""
+    from validation import renderers
+    from validation.proofs import ALL
+
+    if at and pixels is not None:
+        raise CommandError("--at and --pixels exclude each other", "--at names pixels, --pixels takes random ones")
+    if renderer:
+        for option, given in (("--at", at), ("--output", output)):
+            if given:
+                raise CommandError(f"{option} is for proving alone", "leave out --renderer")
+        for name in renderer:
+            renderers.get(name)
+    elif edges is not None:
+        raise CommandError("--edges is for holding renderers against the proved values", "--renderer NAME")
+    if output:
+        if output.suffix.lower() not in (*PASS_FILES, *IMAGES):
+            message = f"unknown file ending '{output.suffix.lower()}' of {output}"
+            raise CommandError(message, "expected .exr, .npz, .png or .ppm")
+        if pixels != ALL:
+            raise CommandError(f"{output} would hold a whole image", "--pixels all proves every pixel")
+
+
+def _check_pixels(scenes: Mapping[str, Scene], at: tuple[tuple[int, int], ...], output: Path | None) -> None:
+    """Whether every scene has the pixels that are named."""
+    if output and len(scenes) > 1:
+        raise CommandError(f"{output} holds one image, but there are {len(scenes)} scenes", "name one scene")
+    for label, scene in scenes.items():
+        columns, rows = scene.view.columns, scene.view.rows
+        for x, y in at:
+            if x >= columns or y >= rows:
+                hint = f"columns are 0 to {columns - 1} from the left, rows 0 to {rows - 1} from the top"
+                raise CommandError(f"{label} has no pixel {x} {y}", hint)
 
 
 @whitted.command()

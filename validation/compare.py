@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.passes import MARGINS, Pass, lookup
+from tracer.passes import Pass, lookup
 from validation import metrics
 from validation.renderers import Settings, Uncertainty
 
@@ -42,6 +42,7 @@ class Maps:
     tolerance: metrics.Array
     compared: Mask
     edge: Mask
+    over: Mask
 
 
 @dataclass(frozen=True)
@@ -162,41 +163,19 @@ class Judge:
     def edge_cap(self) -> int:
         """The most edge pixels that geometry explains; more than that is a renderer that excuses itself.
 
-        Every curve on which a decision changes lies in the picture of a sphere, which its outline and the frame of
-        the image enclose: `length` is the sum of both. In such a picture, directly or in a mirror, each sphere draws
-        at most an outline, a cut by the near plane, a line where it begins to be nearer, and for each light the
-        border of its shadow and the two ends of the shadow ray's range; each light draws the terminator and the line
-        where R.V changes its sign. Each of these curves is about as long as what encloses it at most. A relative
-        change delta of the direction, of the position (two coordinates in the image) or of the scaling moves a curve
-        by delta times its distance from the principal point each, to either side: a band `8 delta reach` wide. What a
-        hit adds is carried on to the next: the band of the k-th hit is k times as wide.
-
-        `delta` is the median over the image: what a renderer claims for a few of its pixels must not widen all bands.
-        A band covers as many pixels as its area says; a straight curve along the grid can put every pixel of its
-        length on itself, whatever the width: `length` once. Never more than a quarter of the image, so that three
-        quarters are always compared; of the smallest images one pixel may be an edge.
+        Every curve on which a decision changes lies in the picture of a sphere, directly or in a mirror, and so is
+        enclosed by outlines and the frame of the image: `length` is the sum of both. A renderer is fit to check the
+        scene if the bands in which it is uncertain, all those of one hit of the chain together, are no wider than a
+        pixel: then they cover `length` pixels a hit. So does one straight curve along the grid, however thin its band.
+        What a renderer claims does not enter. Never more than a quarter of the image, so that three quarters are
+        always compared; of the smallest images one pixel may be an edge.
         """
-        view = self.scene.view
         rows, columns = self.analysis.ids.shape
-        across = max(abs(view.left), abs(view.right)) / (view.right - view.left) * columns
-        down = max(abs(view.bottom), abs(view.top)) / (view.top - view.bottom) * rows
-        reach = math.hypot(across, down)
         length = self.analysis.outline + 2.0 * (rows + columns)
         mirrors = any(sphere.kr > 0 for sphere in self.scene.spheres)
         hits = 1 + (self.settings.max_reflections if mirrors else 0)
-        spheres, lights = len(self.scene.distinct), len(self.scene.lights)
-        curves = {
-            "silhouette": spheres * (1 + lights),
-            "range": spheres * (1 + 2 * lights),
-            "order": spheres,
-            "terminator": 2 * lights,
-        }
-        band = 0.0
-        for kind in MARGINS:
-            delta = np.maximum(getattr(self.renderer, kind), getattr(self.reference, kind))
-            band += curves[kind] * hits * (hits + 1) / 2 * 8.0 * float(np.median(delta)) * reach
-        most: float = min(length * (1.0 + band), rows * columns / 4)
-        return math.ceil(most)
+        limit: int = math.ceil(min(length * hits, rows * columns / 4))
+        return limit
 
 
 def compare_passes(
@@ -235,7 +214,9 @@ def compare_passes(
                 f"too many edge pixels: {count} of {edge.size}, more than the {cap} that the lengths of the outlines "
                 "explain; one of the two renderers decides too little of this scene"
             )
-        yield _measure(blank, a[name], b[name], row, Maps(np.zeros(edge.shape), tolerance, compared, edge), reasons)
+        yield _measure(
+            blank, a[name], b[name], row, Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared), reasons
+        )
 
 
 def compare_plain(
@@ -258,7 +239,7 @@ def compare_plain(
     for label, side in ((labels["renderer"], a), (labels["reference"], b)):
         reasons += _not_a_number(label, side[name])
     every = np.ones((rows, columns), dtype=bool)
-    maps = Maps(np.zeros(every.shape), np.full(every.shape, tolerance), every, ~every)
+    maps = Maps(np.zeros(every.shape), np.full(every.shape, tolerance), every, ~every, ~every)
     return _measure(blank, a[name], b[name], lookup(name), maps, reasons, visual=visual)
 
 
@@ -368,7 +349,7 @@ def _measure(
         "tolerance": float(tolerance[nearest]) if interior.any() else None,
         "ratio": float(ratios[nearest]) if interior.any() else None,
         "worst": worst,
-        "maps": Maps(error, tolerance, compared, maps.edge),
+        "maps": Maps(error, tolerance, compared, maps.edge, compared & over),
     }
     if row.name == "beauty" and visual:
         changes["levels"] = metrics.levels(a, b)

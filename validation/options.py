@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -44,6 +45,22 @@ class Size(click.ParamType[tuple[int, int]]):
         if not found:
             self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
         return int(found[1]), int(found[2])
+
+
+class Count(click.ParamType[int]):
+    """How many pixels: a number from 1 on, or `all`, which is more than any image has."""
+
+    name = "N|all"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """As a number."""
+        if isinstance(value, int):
+            return value
+        if value == "all":
+            return sys.maxsize
+        if not re.fullmatch(r"0*[1-9][0-9]{0,17}", value):
+            self.fail(f"'{value}' is not a number of pixels from 1 on, or 'all'", param, ctx)
+        return int(value)
 
 
 def positive(_: click.Context, parameter: click.Parameter, value: float) -> float:

@@ -23,12 +23,16 @@ from validation.renderers import Renderer, Settings
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
+    from validation.verdict import Verdicts
 
 #: Packages whose version goes into every result.
-PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr")
+PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint")
 
 #: As a path it stands for standard input.
 STDIN = Path("-")
+
+#: The most pixels of a scene and pair that are judged, unless told otherwise: a few seconds of work.
+MOST_VERDICTS = 100
 
 #: A larger scene is compared at a smaller size: 4 million pixels take the margins 2 GB and most of a minute.
 ANALYSIS_MAX_PIXELS = 4_000_000
@@ -53,6 +57,7 @@ class Rendered:
     renderer: Passes
     reference: Passes
     comparisons: Sequence[Comparison]
+    verdicts: Verdicts | None = None
 
 
 @dataclass
@@ -63,6 +68,7 @@ class Validation:
     comparisons: list[Comparison] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     failures: list[Note] = field(default_factory=list)
+    verdicts: list[Verdicts] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     command: Sequence[str] = ()
     #: How many of the failures are faults of a scene or a size, not of a renderer.
@@ -75,8 +81,8 @@ class Validation:
 
     @property
     def status(self) -> int:
-        """The exit status: 0 all agree, 1 some differ, 2 a scene or a size is wrong, 3 a renderer failed or nothing
-        could be compared.
+        """The exit status: 0 all agree, 1 some differ or a difference is not explained, 2 a scene or a size is wrong,
+        3 a renderer failed or nothing could be compared.
         """
         if len(self.failures) > self.wrong_input:
             return 3
@@ -84,7 +90,8 @@ class Validation:
             return 2
         if not self.comparisons:
             return 3
-        return 0 if all(comparison.ok for comparison in self.comparisons) else 1
+        agree = all(comparison.ok for comparison in self.comparisons)
+        return 0 if agree and all(verdicts.explained for verdicts in self.verdicts) else 1
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
@@ -94,6 +101,7 @@ class Validation:
             "settings": vars(self.settings).copy(),
             "versions": self.versions,
             "comparisons": [comparison.record() for comparison in self.comparisons],
+            "verdicts": [verdicts.record() for verdicts in self.verdicts],
             "notes": [vars(note).copy() for note in self.notes],
             "failures": [vars(note).copy() for note in self.failures],
         }
@@ -257,6 +265,7 @@ def validate(
     size: tuple[int, int] | None = None,
     settings: Settings | None = None,
     limits: bool = True,
+    verdicts: int = MOST_VERDICTS,
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Validation:
@@ -264,7 +273,8 @@ def validate(
 
     `scenes`: Scene objects by name, or paths of files and folders. `passes`: None compares all that both have; one
     asked for that a renderer lacks is a failure. `size`: instead of the scene's own. Passes that a renderer cannot draw
-    in time at this size are compared at a smaller one, and a note says so.
+    in time at this size are compared at a smaller one, and a note says so. `verdicts`: the most pixels of a scene and
+    pair that are judged where they differ; of more a random sample.
 
     Raises:
         SceneFilesError: a scene cannot be read.
@@ -302,7 +312,7 @@ def validate(
             if progress:
                 progress(f"{label}: {first.name} against {second.name}")
             try:
-                _pair(result, label, at_size, first, second, passes, drawn, analyses, on_rendered)
+                _pair(result, label, at_size, first, second, passes, verdicts, drawn, analyses, on_rendered)
             except _PairError as error:
                 _failed(result, error.note)
     return result
@@ -354,6 +364,7 @@ def _pair(
     first: Renderer,
     second: Renderer,
     passes: Sequence[str] | None,
+    verdicts: int,
     drawn: dict[tuple[str, tuple[int, int]], Passes | None],
     analyses: dict[tuple[int, int], Analysis],
     on_rendered: Callable[[Rendered], None] | None,
@@ -412,7 +423,8 @@ def _pair(
         result.notes.append(Note(label, pair, message))
         rounds.append((small, rest, drawing_of))
     for size, compared, drawing in rounds:
-        _compare(result, label, resized(scene, size), first, second, compared, drawing, drawn, analyses, on_rendered)
+        at_size = resized(scene, size)
+        _compare(result, label, at_size, first, second, compared, verdicts, drawing, drawn, analyses, on_rendered)
 
 
 def _in_time(side: Renderer, scene: Scene, passes: Sequence[str]) -> list[str]:
@@ -439,6 +451,7 @@ def _compare(
     first: Renderer,
     second: Renderer,
     passes: Sequence[str],
+    verdicts: int,
     draw: Mapping[str, Sequence[str]],
     drawn: dict[tuple[str, tuple[int, int]], Passes | None],
     analyses: dict[tuple[int, int], Analysis],
@@ -466,8 +479,20 @@ def _compare(
             claims.append(side.uncertainty(scene, settings, analysis))
     judge = Judge(scene, settings, analysis, *claims)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
+    judged = None
+    if verdicts and any(comparison.maps is not None and comparison.maps.over.any() for comparison in found):
+        # Only now: python-flint and what builds on it are for where there is something to judge.
+        from validation import verdict
+
+        sides = [
+            verdict.Side(side, passes_of, claim)
+            for side, passes_of, claim in zip((first, second), (a, b), claims, strict=True)
+        ]
+        judged = verdict.judge(scene, label, settings, analysis, sides[0], sides[1], found, most=verdicts)
+    if judged:
+        result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found))
+        on_rendered(Rendered(scene, label, settings, a, b, found, judged))
     result.comparisons += [replace(comparison, maps=None) for comparison in found]
 
 

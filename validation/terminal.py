@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from validation.compare import Comparison
     from validation.run import Validation
+    from validation.verdict import Verdicts
 
 
 #: A terminal of fewer columns gets a smaller table.
@@ -82,6 +83,8 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
     undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(EDGES)}
     if undecided - {"numpy-f64"}:
         click.echo("  hint: where there are too many edge pixels, --against numpy-f64 may decide more")
+    for verdicts in result.verdicts:
+        print_verdicts(verdicts)
     for note in result.notes:
         click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
     if result.comparisons:
@@ -91,13 +94,28 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         text = ": ".join(filter(None, vars(failure).values()))
         # Those of scene files say `error:` after the place.
         click.echo(text if ": error: " in text else f"error: {text}", err=True)
+    unexplained = sum(not verdict.explained for verdicts in result.verdicts for verdict in verdicts.verdicts)
     agree = sum(comparison.ok for comparison in result.comparisons)
     total = f"{agree} of {len(result.comparisons)} comparisons agree" if result.comparisons else "nothing was compared"
     if not (result.comparisons or result.notes or result.failures):
         total += ": there is no scene, or no pair of two different renderers"
     click.echo(
-        total + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        total
+        + (f", {unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
+        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
     )
+
+
+def print_verdicts(verdicts: Verdicts) -> None:
+    """A line a group of pixels: who is off, on which decision, and why."""
+    judged = len(verdicts.verdicts)
+    sample = f", {judged} of them judged, chosen at random" if judged < verdicts.differ else ""
+    pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
+    click.echo(f"{verdicts.scene} ({verdicts.renderer}, {verdicts.reference}): {pixels}{sample}")
+    for group in verdicts.groups():
+        mark = "" if group.explained else "UNEXPLAINED: " if group.finding.cause == "unexplained" else "WRONG: "
+        text = f"  {mark}{group.sentence()}"
+        click.secho(text, fg=None if group.explained else "red", color=colorful())
 
 
 def _alike(failed: Iterable[Comparison]) -> list[list[Comparison]]:

@@ -20,9 +20,14 @@ from validation.report.report import Report
 pytestmark = pytest.mark.browser
 
 
+#: Columns of row 21 that are a little wrong: with the worst pixel more than a table has in sight.
+DENTS = range(8, 20)
+
+
 def dented(arrays: doubles.Arrays) -> None:
-    """Wrong in one pixel."""
+    """Wrong in one pixel, and a little in some others."""
     arrays["beauty"][20, 30] = (0.9, 0.1, 2.5)
+    arrays["beauty"][21, DENTS] += 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -167,3 +172,70 @@ def test_text_has_contrast(page: Any) -> None:
     }"""
     )
     assert poor == []
+
+
+def test_a_mark_of_the_map_stands_on_its_pixel_and_leads_to_its_row(page: Any) -> None:
+    scene = page.locator("section.scene", has=page.locator(".judgement")).first
+    picture, marks = scene.locator(".judgement .frame").bounding_box(), scene.locator(".map a")
+    assert marks.count() == 1 + len(DENTS)
+    for index in range(marks.count()):
+        x, y = map(int, marks.nth(index).locator("title").text_content().split(", "))
+        place = marks.nth(index).locator("use").bounding_box()
+        assert abs(place["x"] + place["width"] / 2 - picture["x"] - (x + 0.5) / 64 * picture["width"]) < 1
+        assert abs(place["y"] + place["height"] / 2 - picture["y"] - (y + 0.5) / 48 * picture["height"]) < 1
+        assert 5 < place["width"] < 30
+    # The row of one mark is folded up, until the mark is clicked.
+    folded = scene.locator(".told details tbody").last
+    name = folded.get_attribute("id")
+    assert not folded.is_visible()
+    scene.locator(f'.map a[href="#{name}"]').click()
+    page.wait_for_function("name => document.getElementById(name).closest('details').open", arg=name)
+    folded.wait_for(state="visible")
+    page.wait_for_function(
+        """name => {
+            const place = document.getElementById(name).getBoundingClientRect();
+            return place.top >= 0 && place.bottom <= innerHeight;
+        }""",
+        arg=name,
+    )
+
+
+def test_why_pixels_differ_leads_to_their_rows(page: Any) -> None:
+    rows = page.locator("table.why tbody tr")
+    assert rows.count() >= 2
+    for index in range(rows.count()):
+        for link in rows.nth(index).locator("a").all():
+            name = link.get_attribute("href").removeprefix("#")
+            assert page.locator(f'[id="{name}"]').count() == 1
+    rows.first.locator("a").last.click()
+    target = page.locator("tbody:target")
+    assert target.count() == 1
+    assert target.is_visible()
+
+
+def test_a_click_on_a_command_selects_all_of_it(page: Any) -> None:
+    command = page.locator("code.command").first
+    command.click()
+    selected = page.evaluate("getSelection().toString()")
+    assert selected == command.text_content()
+    assert selected.startswith("whitted explain full ")
+
+
+def test_causes_are_told_by_words_and_shape(page: Any) -> None:
+    for chip in page.locator("table.why .chip, table.verdicts .chip").all():
+        words = chip.text_content()
+        assert words[0] in "✓✗"
+        assert (words[0] == "✗") == ("unexplained" in words or "wrong" in words)
+
+
+def test_rows_of_verdicts_fit_a_narrow_window(page: Any) -> None:
+    page.set_viewport_size({"width": 800, "height": 900})
+    box = page.locator(".plainly").first
+    assert box.evaluate("box => box.scrollWidth <= box.clientWidth")
+    # Values stand side by side, whole.
+    values = page.locator("table.verdicts tbody").first.locator("td.value")
+    tops = {values.nth(index).bounding_box()["y"] for index in range(3)}
+    assert len(tops) == 1
+    assert values.first.bounding_box()["height"] < 60
+    page.set_viewport_size({"width": 400, "height": 900})
+    assert page.locator("table.why").first.evaluate("table => table.getBoundingClientRect().right <= innerWidth")

@@ -6,6 +6,7 @@ import base64
 import io
 import math
 import re
+import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,11 +22,15 @@ from tracer.passes import lookup, quantise
 from validation import Comparison, Settings, Validation, validate
 from validation.cli import main
 from validation.compare import Maps, Worst
+from validation.parting import Decision
 from validation.report import pictures
-from validation.report.report import Report, bound, cell, headline, ours, share, shared_folder, short
-from validation.run import Note
+from validation.report.report import LINES, Report, bound, cell, headline, ours, share, shared_folder, short
+from validation.report.verdicts import ROWS, SHAPES, Row, mark, view
+from validation.run import Note, Rendered
+from validation.truth import Prover
+from validation.verdict import Finding, Verdict, Verdicts
 
-VOID = {"meta", "link", "img", "br", "path", "use", "wbr"}
+VOID = {"meta", "link", "img", "br", "path", "use", "wbr", "col"}
 
 
 class Page(HTMLParser):
@@ -135,7 +140,10 @@ def test_what_differs_comes_first_and_in_words(result: tuple[Validation, str, Pa
     assert verdicts == sorted(verdicts, reverse=True)
     assert verdicts.count(True) == 3
     for scene in scenes:
-        order = ["differs" in summary for summary in re.findall(r"<summary><span.*?</summary>", scene, re.S)]
+        order = [
+            "differs" in summary
+            for summary in re.findall(r"<summary><span(?! class=.name.>verdicts).*?</summary>", scene)
+        ]
         assert order == sorted(order, reverse=True)
     for comparison in failed:
         for reason in comparison.reasons:
@@ -318,6 +326,301 @@ def test_a_comparison_without_pictures_is_shown_in_words(tmp_path: Path) -> None
     assert "1 of 1 comparison differs" in text
 
 
+#: Names that are no markup, whatever they look like.
+SCENE, RENDERER = 'a <b> & "c".txt', '<i>new</i> & "co"'
+
+
+def finding(renderer: str, cause: str, says: str = "misses 'ball' at t = 2", *, off: str = "beauty") -> Finding:
+    """One that is off in a pass."""
+    decision = Decision("silhouette", says, re.sub(" at t = .*", "", says))
+    return Finding(renderer, {off: 0.5}, decision, cause, f"because <of> {cause}")
+
+
+def judged_by_hand(*, excused: bool = False, differ: int = 40) -> tuple[Rendered, Validation]:
+    """One scene with verdicts of every kind, 20 of one rule; `excused`: without those that nothing explains."""
+    name, reference, scene = RENDERER, "native-f64", doubles.full()
+    kept: list[Rendered] = []
+    double = Double(name=name, draw=with_arrays(dented))
+    found = validate({SCENE: scene}, double, reference, verdicts=0, on_rendered=kept.append)
+    prover, fine, beauty = Prover(scene), Finding(name), ("beauty", "diffuse", "direct", "specular", "reflection")
+
+    def verdict(
+        x: int, y: int, a: Finding, b: Finding, passes: tuple[str, ...] = beauty, *, edge: bool = True
+    ) -> Verdict:
+        return Verdict(x, y, passes, prover.pixel(x, y), a, b, edge)
+
+    says = "hits '<b>ball</b>' at t = 3"
+    every = [
+        verdict(30, 20, finding(name, "unexplained"), fine, edge=False),
+        verdict(31, 40, finding(name, "mistake", says), fine, ("id",)),
+    ]
+    every = [] if excused else every
+    every += [
+        verdict(x, 46, finding(name, "rule", f"misses 'floor' at t = {x}"), fine, ("shadow.L0",)) for x in range(20)
+    ]
+    every += [
+        verdict(9, 40, fine, finding(reference, "rounding"), ("depth",)),
+        verdict(8, 40, finding(name, "tie"), finding(reference, "rounding", "misses 'egg'")),
+        verdict(7, 40, fine, fine, ("normal", "depth")),
+    ]
+    verdicts = Verdicts(SCENE, name, reference, differ, every)
+    found.verdicts.append(verdicts)
+    return replace(kept[0], verdicts=verdicts), found
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rendered, str]:
+    """The scene with verdicts and the page of it."""
+    rendered, found = judged_by_hand()
+    page = Report()
+    page.add(rendered)
+    return rendered, page.write(tmp_path_factory.mktemp("judged"), found).read_text(encoding="utf-8")
+
+
+def text_of(markup: str) -> str:
+    """Of a piece of a page."""
+    return Page(markup).text
+
+
+def table_rows(text: str, table: str, row: str) -> list[str]:
+    """The pieces `row` of every such table, in order."""
+    tables = re.findall(rf'<table class="{table}">.*?</table>', text, re.S)
+    return [
+        piece for found in tables for piece in re.findall(rf"<{row}[ >].*?</{row}>", found.split("</thead>")[1], re.S)
+    ]
+
+
+def test_why_pixels_differ_comes_first(judged: tuple[Rendered, str]) -> None:
+    text = judged[1]
+    assert text.index("Why they differ") < text.index("What differs") < text.index("<h2>Summary")
+    assert "at least 1 pixel is unexplained and 1 wrong" in re.search(r"<h1>.*?</h1>", text, re.S).group()  # type: ignore[union-attr]
+    rows = table_rows(text, "why", "tr")
+    assert ["alarm" in row for row in rows] == [True, True] + [False] * 5
+    lines = [text_of(row) for row in rows]
+    where = f"{SCENE} {RENDERER}, native-f64"
+    assert (
+        lines[0]
+        == f"✗ unexplained 1 pixel {where} {RENDERER} misses 'ball' at t = 2 ( 30 20 ) because <of> unexplained"
+    )
+    assert lines[1].startswith(f"✗ wrong 1 pixel {where} {RENDERER} hits '<b>ball</b>' at t = 3 ( 31 40 )")
+    assert lines[2].startswith(f"✓ documented rule 20 pixels {where} {RENDERER} misses 'floor' (e.g. 0 46 )")
+    assert sorted(line.split(" 1 ")[0] for line in lines[3:]) == [
+        "✓ rounding",
+        "✓ rounding",
+        "✓ tie",
+        "✓ within both claims",
+    ]
+    assert "40 pixels of 1 scene are over tolerance. 25 of them, a random sample" in Page(text).text
+
+
+def test_many_reasons_are_folded_up(tmp_path: Path) -> None:
+    rendered, found = judged_by_hand()
+    assert rendered.verdicts is not None
+    first = rendered.verdicts.verdicts[0]
+    for k in range(LINES):
+        other = replace(first, renderer=finding(RENDERER, "unexplained", f"misses 'ball' {k} times"))
+        rendered.verdicts.verdicts.append(other)
+    page = Report()
+    page.add(rendered)
+    text = page.write(tmp_path, found).read_text(encoding="utf-8")
+    shown, folded = re.findall(r'<table class="why">.*?</table>', text, re.S)
+    assert shown.count("<tr") == LINES + 1  # and the heading
+    assert folded.count("<tr") == 7 + 1
+    assert "7 more, 2 of them unexplained or wrong" in Page(text).text
+
+
+def test_a_pixel_has_its_values_and_errors(judged: tuple[Rendered, str]) -> None:
+    rendered, text = judged
+    assert rendered.verdicts is not None
+    rows = table_rows(text, "verdicts", "tbody")
+    dent, _, shadow, *_ = (text_of(row) for row in rows)
+    exact, drawn = rendered.verdicts.verdicts[0].truth.values["beauty"][2], rendered.reference["beauty"][20, 30, 2]
+    error = exact.error(float(drawn))
+    assert error < 1e-15
+    far, near = f"off by {2.5 - exact.value:.2g}", f"error {error:.2g}" if error else "exact"
+    values = f"{exact.value!r} 2.5 {far} {float(drawn)!r} {near}"
+    command = f"whitted explain '{SCENE}' 30 20 --renderer '{RENDERER},native-f64' --size 64x48"
+    assert dent == (
+        f"30, 20 interior beauty B also diffuse, direct, specular, reflection {values} "
+        f"✗ unexplained {RENDERER} misses 'ball' at t = 2 because <of> unexplained {command}"
+    )
+    assert "shadow.L0" in shadow
+
+
+def test_the_table_begins_with_one_of_each_kind(judged: tuple[Rendered, str]) -> None:
+    rendered, text = judged
+    assert rendered.verdicts is not None
+    rows = table_rows(text, "verdicts", "tbody")
+    places = [tuple(map(int, re.findall(r">(\d+), (\d+)</a>", row)[0])) for row in rows]
+    assert sorted(places) == sorted((verdict.x, verdict.y) for verdict in rendered.verdicts.verdicts)
+    assert places[:3] == [(30, 20), (31, 40), (0, 46)]
+    assert set(places[3:6]) == {(9, 40), (8, 40), (7, 40)}
+    assert places[6:] == [(x, 46) for x in range(1, 20)]
+    assert ["alarm" in row for row in rows] == [True, True] + [False] * 23
+    shown, folded = re.findall(r'<table class="verdicts">.*?</table>', text, re.S)
+    assert (shown.count("<tbody"), folded.count("<tbody")) == (ROWS, 25 - ROWS)
+    assert f"{25 - ROWS} more pixels" in Page(text).text
+    both = next(text_of(row) for row in rows if ">8, 40<" in row)
+    assert f"✓ tie {RENDERER} misses 'ball' at t = 2 because <of> tie ✓ rounding native-f64 misses 'egg'" in both
+    neither = next(text_of(row) for row in rows if ">7, 40<" in row)
+    assert "✓ within both claims neither is off by more than it claims" in neither
+
+
+def test_the_map_marks_every_pixel(judged: tuple[Rendered, str]) -> None:
+    rendered, text = judged
+    assert rendered.verdicts is not None
+    (drawn,) = re.findall(r'<svg class="map" viewBox="0 0 (\S+) (\S+)".*?>(.*?)</svg>', text, re.S)
+    unit = 64 / float(drawn[0])
+    assert 48 / float(drawn[1]) == pytest.approx(unit, rel=1e-3)
+    marks = re.findall(r'<a href="#(s0-x(\d+)-y(\d+))" .*?<use href="#mark-(\w+)" x="(\S+)" y="(\S+)"', drawn[2])
+    assert len(marks) == 25
+    for anchor, x, y, _, across, down in marks:
+        assert f'<tbody id="{anchor}"' in text
+        assert float(across) * unit == pytest.approx(int(x) + 0.5, abs=0.01)
+        assert float(down) * unit == pytest.approx(int(y) + 0.5, abs=0.01)
+    kinds = {(int(x), int(y)): kind for _, x, y, kind, *_ in marks}
+    assert kinds[30, 20] == kinds[31, 40] == "cross"
+    assert (kinds[0, 46], kinds[9, 40], kinds[8, 40], kinds[7, 40]) == ("square", "circle", "both", "dot")
+    legend = text_of(re.search(r'<ul class="key">.*?</ul>', text, re.S).group())  # type: ignore[union-attr]
+    assert legend == (
+        f"unexplained or wrong: 2 pixels {RENDERER} is off: 20 pixels native-f64 is off: 1 pixel "
+        "both are off: 1 pixel neither is off by more than it claims: 1 pixel"
+    )
+    assert set(re.findall(r'<g id="mark-(\w+)"', text)) == set(SHAPES)
+
+
+def test_names_in_verdicts_are_text(judged: tuple[Rendered, str]) -> None:
+    text = judged[1]
+    for markup in ("<b>ball", "<i>new", "a <b>", "<of>"):
+        assert markup not in text
+
+
+def test_a_sample_is_called_one(judged: tuple[Rendered, str], tmp_path: Path) -> None:
+    assert "40 pixels differ; 25 of them, chosen at random, were judged" in Page(judged[1]).text
+    rendered, found = judged_by_hand(excused=True, differ=23)
+    page = Report()
+    page.add(rendered)
+    text = Page(page.write(tmp_path, found).read_text(encoding="utf-8")).text
+    assert "random" not in text
+    assert "23 pixels of 1 scene are over tolerance, on edges only" in text
+    assert "unexplained" not in text.replace("and unexplained (✗)", "")
+
+
+def test_the_worst_pixel_has_its_verdict(judged: tuple[Rendered, str]) -> None:
+    worst = re.findall(r'<table class="plain worst">.*?</table>', judged[1], re.S)
+    told = [text_of(table) for table in worst if ">verdict</a>" in table]
+    assert len(told) == 1, "of the pass that differs there alone"
+    assert "x 30, y 20, B" in told[0]
+    assert told[0].endswith(f"verdict ✗ unexplained {RENDERER} misses 'ball' at t = 2")
+
+
+def test_a_scene_that_agrees_may_be_unexplained(tmp_path: Path) -> None:
+    rendered, found = judged_by_hand()
+    rendered = replace(rendered, comparisons=[c for c in rendered.comparisons if c.ok])
+    found.comparisons = [replace(c, maps=None) for c in rendered.comparisons]
+    other = replace(rendered, label="fine.txt", verdicts=None)
+    page = Report()
+    page.add(other)
+    page.add(rendered)
+    text = page.write(tmp_path, found).read_text(encoding="utf-8")
+    assert found.status == 1
+    assert f"All {len(found.comparisons)} comparisons agree, but at least 1 pixel is unexplained and 1 wrong" in text
+    names = [text_of(name) for name in re.findall(r'<section class="scene".*?(<h2>.*?</h2>)', text, re.S)]
+    assert names == [f"{SCENE} agrees ✗ 1 pixel unexplained ✗ 1 pixel wrong", "fine.txt agrees"]
+    (row, _) = re.findall(r'<tr>(<th scope="row"><a.*?</th>)', text, re.S)
+    assert text_of(row) == f"{SCENE} ✗ 1 unexplained ✗ 1 wrong"
+
+
+def test_without_verdicts_there_is_nothing_of_them(tmp_path: Path) -> None:
+    page = Report()
+    found = validate({"full": doubles.full()}, "native-f64", "numpy-f64", on_rendered=page.add)
+    text = page.write(tmp_path, found).read_text(encoding="utf-8")
+    assert "Why they differ" not in text
+    assert "mark-cross" not in text
+    assert 'class="verdicts"' not in text
+    assert 'class="judgement"' not in text
+
+
+def shown_row(rendered: Rendered, name: str, arrays: doubles.Arrays) -> Row:
+    """The row of pixel 30 20 of a renderer that drew `arrays`."""
+    assert rendered.verdicts is not None
+    verdict = replace(
+        rendered.verdicts.verdicts[0], passes=(name,), renderer=finding(RENDERER, "unexplained", off=name)
+    )
+    verdicts = replace(rendered.verdicts, verdicts=[verdict])
+    drawn = doubles.with_arrays(lambda every: every.update(arrays))
+    passes = drawn(rendered.scene, list(rendered.renderer), rendered.settings)
+    found = view(replace(rendered, renderer=passes, verdicts=verdicts), "s0", 6)
+    assert found is not None
+    return found.rows[0]
+
+
+def test_values_read_well(judged: tuple[Rendered, str]) -> None:
+    rendered = judged[0]
+
+    def row(name: str, value: float) -> Row:
+        array = rendered.reference[name].copy()
+        array[20, 30] = value
+        return shown_row(rendered, name, {name: array})
+
+    def told(name: str, value: float) -> tuple[str, str]:
+        side = row(name, value).sides[0]
+        return side.text, side.error
+
+    assert told("id", 1) == ("1, 'egg'", "wrong")
+    assert told("id", -1) == ("-1, nothing", "wrong")
+    assert told("id", 7) == ("7", "wrong")
+    assert told("shadow.L0", 1 - rendered.reference["shadow.L0"][20, 30])[1] == "wrong"
+    assert {told("shadow.L0", value)[0] for value in (0, 1)} == {"0, hidden", "1, visible"}
+    assert told("depth", math.inf) == ("∞", "off")
+    assert told("beauty", math.nan) == ("not a number", "off")
+    assert row("depth", 5.0).channel == ""
+    assert row("position", 5.0).channel in "XYZ"
+
+
+def test_the_command_draws_the_same(judged: tuple[Rendered, str], tmp_path: Path) -> None:
+    rendered = judged[0]
+    file = tmp_path / "a scene.txt"
+    file.write_text(rendered.scene.text())
+
+    def words(**changes: Any) -> list[str]:
+        found = view(replace(rendered, **changes), "s0", 1)
+        assert found is not None
+        return shlex.split(found.rows[0].command)
+
+    start = ["whitted", "explain"]
+    end = ["30", "20", "--renderer", f"{RENDERER},native-f64"]
+    assert words(label=str(file)) == [*start, str(file), *end]
+    assert words(label="<stdin>") == [*start, "-", *end, "--size", "64x48"]
+    settings = Settings(sample="center", shadow_epsilon=1e-3, max_reflections=5, threads=2)
+    options = ["--sample", "center", "--shadow-epsilon", "0.001", "--max-reflections", "5"]
+    assert words(label=str(file), settings=settings) == [*start, str(file), *end, *options]
+    many = rendered.scene.replace(lights=rendered.scene.lights * 3, limits=False)
+    file.write_text(many.text())
+    assert words(label=str(file), scene=many) == [*start, str(file), *end, "--no-limits"]
+    file.write_text("no scene")
+    assert words(label=str(file)) == [*start, str(file), *end, "--size", "64x48"]
+
+
+def test_who_is_off_has_a_shape() -> None:
+    fine, truth = Finding("a"), Prover(doubles.full()).pixel(0, 0)
+
+    def of(a: Finding, b: Finding) -> str:
+        return mark(Verdict(0, 0, ("id",), truth, a, b, edge=True))
+
+    off, lost = finding("a", "rounding"), finding("b", "mistake")
+    assert [of(off, fine), of(fine, off), of(off, off), of(fine, fine)] == ["square", "circle", "both", "dot"]
+    assert [of(lost, fine), of(off, lost), of(lost, lost)] == ["cross"] * 3
+
+
+def test_verdicts_take_little_of_the_page(judged: tuple[Rendered, str]) -> None:
+    text = judged[1]
+    for row in table_rows(text, "verdicts", "tbody"):
+        assert len(row) < 2000
+    (drawn,) = re.findall(r'<svg class="map".*?</svg>', text, re.S)
+    assert len(drawn) < 25 * 200
+
+
 def test_a_report_of_nothing(tmp_path: Path) -> None:
     found = validate({"full": doubles.full()}, Double(refuses=True), "numpy-f64")
     text = Page(Report().write(tmp_path, found).read_text()).text
@@ -327,10 +630,16 @@ def test_a_report_of_nothing(tmp_path: Path) -> None:
 
 
 def test_the_headline_says_all_that_happened() -> None:
-    def of(agree: int, differ: int, failures: int) -> str:
+    truth = Prover(doubles.full()).pixel(0, 0)
+
+    def of(agree: int, differ: int, failures: int, *causes: str, sampled: bool = False) -> str:
         found = [Comparison("s", (1, 1), "a", "b", "id")] * agree
         found += [Comparison("s", (1, 1), "a", "b", "id", reasons=("off",))] * differ
-        return headline(Validation(Settings(), found, failures=[Note("s", "a", "failed")] * failures))
+        pixels = [Verdict(0, 0, ("id",), truth, finding("a", cause), Finding("b"), edge=True) for cause in causes]
+        verdicts = [Verdicts("s", "a", "b", len(pixels) + sampled, pixels)]
+        return headline(
+            Validation(Settings(), found, failures=[Note("s", "a", "failed")] * failures, verdicts=verdicts)
+        )
 
     assert of(8, 0, 0) == "All 8 comparisons agree"
     assert of(1, 0, 0) == "The only comparison agrees"
@@ -338,6 +647,13 @@ def test_the_headline_says_all_that_happened() -> None:
     assert of(7, 1, 1) == "1 of 8 comparisons differ, and there was 1 failure"
     assert of(8, 0, 2) == "All 8 comparisons agree, but there were 2 failures"
     assert of(0, 0, 1) == "Nothing was compared"
+    assert of(8, 0, 0, "rounding", "rule", "tie", sampled=True) == "All 8 comparisons agree"
+    assert of(8, 0, 0, "unexplained") == "All 8 comparisons agree, but 1 pixel is unexplained"
+    assert of(8, 0, 0, "mistake", "mistake") == "All 8 comparisons agree, but 2 pixels are wrong"
+    both = "unexplained", "unexplained", "mistake"
+    assert of(7, 1, 0, *both) == "1 of 8 comparisons differ, and 2 pixels are unexplained and 1 wrong"
+    many = "1 of 8 comparisons differ, and at least 2 pixels are unexplained and 1 wrong, and there was 1 failure"
+    assert of(7, 1, 1, *both, sampled=True) == many
 
 
 def test_numbers_read_well() -> None:
@@ -396,7 +712,7 @@ def test_an_edge_pixel_that_differs_most_is_called_one(tmp_path: Path) -> None:
     edge[7, 9], tolerance[7, 9] = True, np.inf
     error = np.zeros((48, 64))
     error[7, 9] = 0.5
-    maps = Maps(error, tolerance, ~np.zeros((48, 64), bool), edge)
+    maps = Maps(error, tolerance, ~np.zeros((48, 64), bool), edge, error > 0)
     worst = Worst(9, 7, "R", 0.75, 0.25)
     comparison = replace(comparison, maps=maps, worst=worst, max=0.5, edge=1, edge_over=1)
     page.add(replace(drawn, comparisons=[comparison]))

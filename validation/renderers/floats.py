@@ -38,12 +38,14 @@ def uncertainty(precision: Precision, scene: Scene, settings: Settings) -> Uncer
         + [abs(number) for sphere in scene.spheres for number in (*sphere.position, *sphere.scaling)]
     )
     length = tiny * (1 + far)
+    # VALUE_ROUNDINGS is for three reflections; each one more is a root more, whose slope may grow.
+    growth = (4 / 3) ** (max(settings.max_reflections - 3, 0) / 2)
     return Uncertainty(
         silhouette=decision,
         range=decision,
         order=decision,
         terminator=decision,
-        unit=VALUE_ROUNDINGS * unit,
+        unit=VALUE_ROUNDINGS * unit * growth,
         absolute={
             "color": color,
             "length": length,

@@ -17,16 +17,23 @@ from markupsafe import Markup
 
 from tracer.passes import TABLE, lookup, write_beside
 from validation.report import pictures
+from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
+from validation.report.verdicts import view as view_verdicts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tracer.passes import Passes
     from validation.compare import Comparison
+    from validation.report.verdicts import Line, Row
     from validation.run import Rendered, Validation
+    from validation.verdict import Verdicts
 
 #: A small picture is enlarged to at most that many pixels, by a whole number; three such stand side by side.
 WIDTH = 400
+
+#: Lines at the top that say why pixels differ; the rest can be opened.
+LINES = 12
 
 #: Begins the tag by which a page of ours is known.
 MARK = '<meta name="generator" content="whitted '
@@ -60,6 +67,7 @@ class PassView:
     zoom: int = 1
     worst_on_edge: bool = False
     worst_tolerance: float | None = None
+    worst_row: Row | None = None
 
     @property
     def count(self) -> int:
@@ -80,6 +88,22 @@ class SceneView:
     passes: list[PassView] = field(default_factory=list)
     outlines: dict[str, str] = field(default_factory=dict)
     thumbnail: Shown | None = None
+    verdicts: VerdictsView | None = None
+
+    @property
+    def zoom(self) -> int:
+        """How much its pictures are enlarged."""
+        return max(1, WIDTH // max(self.size))
+
+    @property
+    def ok(self) -> bool:
+        """Whether every pass agrees and every difference is explained."""
+        return not self.failed and not (self.verdicts and self.verdicts.unexcused)
+
+    @property
+    def picture(self) -> Shown:
+        """What lies under the map of verdicts: `beauty`, or the first pass that there is."""
+        return self.thumbnail or next(view.a for view in self.passes if view.a)
 
     @property
     def failed(self) -> int:
@@ -125,18 +149,22 @@ class Report:
             first.renderer,
             first.reference,
         )
+        scene.verdicts = view_verdicts(rendered, scene.anchor, scene.zoom)
         for comparison in rendered.comparisons:
             scene.passes.append(self._view(scene, comparison, rendered.renderer, rendered.reference))
         self._scenes.append(scene)
 
     def _view(self, scene: SceneView, comparison: Comparison, a: Passes, b: Passes) -> PassView:
         anchor, maps = f"{scene.anchor}-{comparison.pass_name}", comparison.maps
-        view = PassView(anchor, replace(comparison, maps=None), zoom=max(1, WIDTH // max(scene.size)))
+        view = PassView(anchor, replace(comparison, maps=None), zoom=scene.zoom)
         if maps is None:
             return view
         if worst := comparison.worst:
             view.worst_on_edge = bool(maps.edge[worst.y, worst.x])
             view.worst_tolerance = float(maps.tolerance[worst.y, worst.x])
+            row = scene.verdicts.by_pixel.get((worst.x, worst.y)) if scene.verdicts else None
+            if row and comparison.pass_name in row.verdict.passes:
+                view.worst_row = row
         name, everywhere = comparison.pass_name, np.ones(maps.edge.shape, dtype=bool)
         hits = tuple(np.asarray(side["id"]) >= 0 if "id" in side else everywhere for side in (a, b))
         drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
@@ -175,6 +203,7 @@ class Report:
         )
         environment.filters |= {"short": short, "exact": exact, "cell": cell, "share": share, "number": counted}
         environment.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
+        environment.filters |= {"scaled": scaled}
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
         page = environment.get_template("report.html.j2").render(
             result=result,
@@ -183,6 +212,12 @@ class Report:
             headline=headline(result),
             scenes=self._ordered(),
             summary=self._summary(),
+            judged=judged(result.verdicts),
+            lines=self._lines(),
+            lines_shown=LINES,
+            rows_shown=ROWS,
+            causes=CAUSES,
+            shapes=SHAPES,
             command=shlex.join(result.command),
             made=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         )
@@ -193,7 +228,13 @@ class Report:
 
     def _ordered(self) -> list[SceneView]:
         """Failures first; the stored pictures keep their order of appearance, as references go by id."""
-        return sorted(self._scenes, key=lambda scene: scene.failed == 0)
+        return sorted(self._scenes, key=lambda scene: (scene.failed == 0, scene.ok))
+
+    def _lines(self) -> list[tuple[SceneView, Line]]:
+        """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes."""
+        found = [(scene, line) for scene in self._ordered() if scene.verdicts for line in scene.verdicts.lines]
+        worth = {"unexplained": 0, "mistake": 1}
+        return sorted(found, key=lambda entry: worth.get(entry[1].finding.cause, 2))
 
     def _summary(self) -> list[dict[str, Any]]:
         """One table a pair of renderers: scenes by passes."""
@@ -241,10 +282,38 @@ def headline(result: Validation) -> str:
         text = f"{failed} of {counted(total, 'comparison')} differ{'s' if total == 1 else ''}"
     else:
         text = "The only comparison agrees" if total == 1 else f"All {total} comparisons agree"
+    more = [clause] if (clause := without_excuse(result.verdicts)) else []
     if result.failures:
-        text += f", {'and' if failed else 'but'} there {'was' if len(result.failures) == 1 else 'were'} "
-        text += counted(len(result.failures), "failure")
-    return text
+        more.append(
+            f"there {'was' if len(result.failures) == 1 else 'were'} {counted(len(result.failures), 'failure')}"
+        )
+    return text + f", {'and' if failed else 'but'} " * bool(more) + ", and ".join(more)
+
+
+def judged(several: Sequence[Verdicts]) -> dict[str, int | bool]:
+    """How many pixels differ, in how many scenes, and how many of them were judged."""
+    verdicts = [verdict for of in several for verdict in of.verdicts]
+    differ = sum(of.differ for of in several)
+    return {
+        "differ": differ,
+        "scenes": len({of.scene for of in several}),
+        "count": len(verdicts),
+        "sampled": differ > len(verdicts),
+        "all_on_edges": differ == len(verdicts) and all(verdict.edge for verdict in verdicts),
+    }
+
+
+def without_excuse(several: Sequence[Verdicts]) -> str:
+    """How many pixels are unexplained and how many wrong, as a clause; "" where there are none."""
+    found = unexcused(several)
+    words = [word for word in ("unexplained", "wrong") if found[word]]
+    if not words:
+        return ""
+    first, *others = words
+    # Of a sample that has some, there may be more.
+    least = "at least " * any(len(of.verdicts) < of.differ for of in several if not of.explained)
+    text = f"{least}{counted(found[first], 'pixel')} {'is' if found[first] == 1 else 'are'} {first}"
+    return text + "".join(f" and {found[word]} {word}" for word in others)
 
 
 def shared_folder(labels: Sequence[str]) -> str:
@@ -274,6 +343,11 @@ def digits(value: float, form: str = ".2g") -> str:
 def short(value: float | None) -> str:
     """A measured number as people read it."""
     return "–" if value is None else digits(value)
+
+
+def scaled(length: float, unit: float) -> str:
+    """A length in units of the marks' size, to a hundredth of a pixel of the screen or so."""
+    return f"{length / unit:.2f}".rstrip("0").rstrip(".")
 
 
 def bound(tolerance: float) -> str:

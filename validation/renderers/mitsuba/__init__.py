@@ -31,11 +31,12 @@ from validation.renderers import Settings, Uncertainty
 from validation.renderers.mitsuba import llvm
 from validation.renderers.mitsuba.driver import Driver
 from validation.renderers.mitsuba.engines import Arrays, Engine, Loop
-from validation.renderers.mitsuba.precision import RANGE, fits_float32, uncertainty
+from validation.renderers.mitsuba.precision import RANGE, fits_float32, flat_chords, uncertainty
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
+    from validation.rules import Rule
 
 VARIANTS = {"llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 
@@ -90,6 +91,10 @@ class MitsubaSpec:
         """What float32 allows; only the variant that compiles intersects in it too."""
         del analysis
         return uncertainty(scene, settings, float32_roots=self.backend == "llvm")
+
+    def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
+        """How it decides otherwise than the specification, where rounding alone does not say it."""
+        return flat_chords(scene, settings, float32_roots=self.backend == "llvm")
 
     def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
         """Exactly the passes asked for.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from converters import mitsuba as converter
 from tracer.passes import lookup
 from validation.renderers.mitsuba.engines import Engine, Hits, Index, Vectors
-from validation.renderers.mitsuba.precision import SLACK
+from validation.renderers.mitsuba.precision import SLACK, UNIT_ROUNDOFF
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -63,6 +63,8 @@ class Driver:
         """Numbers of the spheres as tables."""
         self.scene, self.settings, self.engine = scene, settings, engine
         spheres = scene.spheres
+        self.position = np.array([s.position for s in spheres]).reshape(-1, 3)
+        self.scaling = np.array([s.scaling for s in spheres]).reshape(-1, 3)
         self.kr = np.array([s.kr for s in spheres])
         self.diffuse = np.array([s.kd != 0 and any(s.color) for s in spheres], dtype=bool)
         self.specular = np.array([s.ks != 0 for s in spheres], dtype=bool)
@@ -94,6 +96,28 @@ class Driver:
             first = dataclasses.replace(first, t=first.t + passed[first.ray])
         false = self.at_start(start, direction, first)
         return self.engine.take(first, np.flatnonzero(~false)) if false.any() else first
+
+    def land(
+        self, hits: Hits, origin: Vectors, direction: Vectors, own: Index | None = None
+    ) -> tuple[Start, Vectors, Vectors]:
+        """The surface where rays hit, its normals turned to where the rays come from, and the rays that hit.
+
+        `own`: the spheres that rays start on; their hits that count are all from inside. Of another sphere the inside
+        is hit by what starts in it. The angle of ray and normal does not tell: at an outline rounding turns it over. It
+        does tell where a primary ray starts on the sphere as far as float32 knows: only the other root is left then.
+        """
+        start, position, scaling = origin[hits.ray], self.position[hits.sphere], self.scaling[hits.sphere]
+        beside = (start - position) / scaling
+        depth = _dot(beside, beside) - 1
+        # Start, centre and scaling are rounded to float32, each by u times itself: half the motion of |beside|^2.
+        moves = np.abs(beside / scaling) * (np.abs(start) + np.abs(position) + np.abs(start - position))
+        on = np.abs(depth) <= 2 * UNIT_ROUNDOFF * moves.sum(axis=1)
+        inside = np.where(on, _dot(hits.normal, direction[hits.ray]) > 0, depth < 0)
+        if own is not None:
+            inside |= own[hits.ray] == hits.sphere
+        self.engine.face(hits, inside)
+        normal = np.where(inside[:, None], -hits.normal, hits.normal)
+        return Start(hits.position, hits.sphere, hits.normal, inside), normal, direction[hits.ray]
 
     def at_start(self, start: Start, direction: Vectors, hits: Hits) -> Flags:
         """Which hits are the root that a ray starts from: on its own sphere only the way out is another root."""
@@ -166,7 +190,7 @@ class Driver:
         # A primary ray starts on the image plane, t = 1: what lies before it is not there.
         hits = self.engine.hit(points, direction)
         pixels = hits.ray
-        start, normal, direction = _land(hits, direction)
+        start, normal, direction = self.land(hits, points, direction)
         put("id", pixels, hits.sphere)
         put("position", pixels, hits.position)
         put("depth", pixels, np.sqrt(_dot(hits.position, hits.position)))
@@ -189,9 +213,10 @@ class Driver:
                 break
             reflected = direction[index] - 2 * _dot(direction[index], normal[index])[:, None] * normal[index]
             reflected /= np.sqrt(_dot(reflected, reflected))[:, None]
-            hits = self.leave(start[index], start.point[index], reflected)
+            left = start[index]
+            hits = self.leave(left, left.point, reflected)
             pixels, weight = pixels[index][hits.ray], weight[index][hits.ray]
-            start, normal, direction = _land(hits, reflected)
+            start, normal, direction = self.land(hits, left.point, reflected, left.sphere)
             color = weight[:, None] * self.shade(hits, start, normal, wanted - {"shadow"}).color
             put(f"reflection.{bounce}", pixels, color)
             for name in ("reflection", "beauty"):
@@ -208,14 +233,6 @@ def _eye_rays(scene: Scene, settings: Settings) -> Vectors:
     points = np.empty((view.rows, view.columns, 3))
     points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], -view.near
     return points.reshape(-1, 3)
-
-
-def _land(hits: Hits, direction: Vectors) -> tuple[Start, Vectors, Vectors]:
-    """The surface where rays hit, its normals turned to where the rays come from, and the rays that hit."""
-    arriving = direction[hits.ray]
-    inside = _dot(hits.normal, arriving) > 0
-    normal = np.where(inside[:, None], -hits.normal, hits.normal)
-    return Start(hits.position, hits.sphere, hits.normal, inside), normal, arriving
 
 
 def _terms(passes: Sequence[str]) -> frozenset[str]:

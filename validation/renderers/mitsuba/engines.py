@@ -31,6 +31,9 @@ class Engine(Protocol):
     def hit(self, origin: Vectors, direction: Vectors, until: NDArray[np.float64] | None = None) -> Hits:
         """The nearest hits of rays with directions of length 1, with 0 < t < until."""
 
+    def face(self, hits: Hits, inside: NDArray[np.bool_]) -> None:
+        """Have the BSDFs seen from the side that was hit: at an outline the directions alone may say the other one."""
+
     def take(self, hits: Hits, wanted: Index) -> Hits:
         """Some of the hits."""
 
@@ -94,6 +97,16 @@ class Arrays:
             si,
         )
 
+    def face(self, hits: Hits, inside: NDArray[np.bool_]) -> None:
+        """The cosine to the viewer gets the sign of that side."""
+        import drjit as dr
+
+        if hits.ray.size:
+            (side,) = _lanes(np.where(inside, -1.0, 1.0))
+            wi = hits.interactions.wi
+            wi.z = side * dr.abs(wi.z)
+            hits.interactions.wi = wi
+
     def take(self, hits: Hits, wanted: Index) -> Hits:
         """Gather Mitsuba's records too."""
         import drjit as dr
@@ -154,6 +167,14 @@ class Loop:
             return _nothing()
         table = np.array(numbers)
         return Hits(np.array(rows), np.array(ids), table[:, 0], table[:, 1:4], table[:, 4:7], interactions)
+
+    def face(self, hits: Hits, inside: NDArray[np.bool_]) -> None:
+        """Only where it is the other one: records of single hits are slow."""
+        for i, within in enumerate(inside.tolist()):
+            si = hits.interactions[i]
+            if (si.wi.z < 0) != within:
+                x, y, z = si.wi
+                si.wi = [x, y, -z]
 
     def take(self, hits: Hits, wanted: Index) -> Hits:
         """Mitsuba's records are a list."""

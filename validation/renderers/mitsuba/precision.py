@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,23 +12,27 @@ from numpy.typing import NDArray
 
 from converters import mitsuba as converter
 from tracer import reference
+from tracer.motion import DECISION, VALUE
 from validation.renderers import PerPixel, Settings, Uncertainty, floats
 
 if TYPE_CHECKING:
     from tracer import Scene
+    from validation.rules import Rule
 
 UNIT_ROUNDOFF = floats.UNIT_ROUNDOFF["f32"]
 #: Mitsuba's roots are off by up to this times the largest coordinate; docs/tolerances.md counts it.
 SLACK = 16 * UNIT_ROUNDOFF
 #: Magnitudes that float32 holds together with their squares.
 RANGE = (1e-15, 1e15)
-#: Roundings on the way to a decision or a value, each a relative change by at most the unit roundoff of the ray or of a
-#: scene number, as margins count them; how much the sphere routine adds in an oblique instance, times h^2; and how the
-#: discriminant of a chord moves with such a change. docs/tolerances.md lists them.
-SPHERE_ROUNDINGS = 21
-INSTANCE_ROUNDINGS = 8
+#: Roundings for each change that margins count, in a decision about a plain sphere, and by how many an instance adds;
+#: how much the sphere routine adds in an oblique instance, times h^2; and how the discriminant of a chord moves with a
+#: change. docs/tolerances.md derives them.
+SPHERE_ROUNDINGS = DECISION
+INSTANCE_ROUNDINGS = DECISION
 GROWTH = 2
 CHORD = 8
+#: Margins are this many times the roundings at least: so a discriminant keeps a part 1 - 1 / ROOM of itself.
+ROOM = 2
 
 
 def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Uncertainty:
@@ -35,16 +41,23 @@ def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Unc
     ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
     if ellipsoids:
         roundings += INSTANCE_ROUNDINGS
-    relative: PerPixel = roundings * UNIT_ROUNDOFF
-    terminator, unit = relative, relative
-    oblique = ellipsoids and float32_roots
-    if oblique or _window_inside(scene, settings):
+    oblique: PerPixel = 0.0
+    hits: PerPixel = 0.0
+    undecided: PerPixel = 0.0
+    slope: PerPixel = 1.0
+    if (ellipsoids and float32_roots) or _window_inside(scene, settings):
         losses = _losses(scene, settings, roundings)
-        if oblique:
-            relative = (roundings + GROWTH * losses.oblique) * UNIT_ROUNDOFF
         # 1: above the margin of any terminator.
-        terminator = np.where(losses.undecided, 1.0, relative)
-        unit = relative * losses.slope
+        slope, undecided = losses.slope, losses.undecided.astype(np.float64)
+        if ellipsoids and float32_roots:
+            oblique, hits = GROWTH * losses.oblique, GROWTH * losses.hits
+    relative = ROOM * (roundings + oblique) * UNIT_ROUNDOFF
+    # The slope of each root of the chain, 1 / sqrt(D), grows by sqrt(1 - 1 / ROOM) at most.
+    mirrors = any(scene.spheres[i].kr > 0 for i in scene.distinct)
+    slope = slope * (1 - 1 / ROOM) ** (-0.5 * (1 + (settings.max_reflections if mirrors else 0)))
+    # Sensitivities count roundings twice as much as margins do.
+    unit = (roundings * VALUE / DECISION + hits) * UNIT_ROUNDOFF * slope
+    terminator = np.maximum(relative, undecided)
     return Uncertainty(
         silhouette=relative,
         range=relative + SLACK,
@@ -71,6 +84,7 @@ class Losses:
     """Where Mitsuba's sphere routine loses digits, by pixel; the worst over the chain of rays of each."""
 
     oblique: NDArray[np.float64]  # h^2, see `_oblique`
+    hits: NDArray[np.float64]  # that of the spheres that are hit
     undecided: NDArray[np.bool_]  # a shadow ray inside a sphere whose other root float32 cannot tell
     slope: NDArray[np.float64]  # by how much the errors of roots grow where rays stay inside a sphere; inf: lost
 
@@ -83,11 +97,11 @@ def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
     parts = []
     for rows in reference.bands(view):
         count = len(rows) * view.columns
-        part = Losses(np.zeros(count), np.zeros(count, dtype=bool), np.ones(count))
+        part = Losses(np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool), np.ones(count))
         with np.errstate(all="ignore"):
             primary = reference.eye_rays(tables, view, settings.sample, rows)
-            for rays, _, at in reference.trace(tables, primary, settings.max_reflections):
-                _oblique(scene, part, rays.pixel, eye[:, rays.start] + rays.offset, rays.direction)
+            for rays, hits, at in reference.trace(tables, primary, settings.max_reflections):
+                _oblique(scene, part, rays.pixel, eye[:, rays.start] + rays.offset, rays.direction, hits.sphere)
                 x = at.x
                 position = eye[:, x.start] + x.offset
                 facing = [np.flatnonzero((at.normal * (light - position)).sum(axis=0) > 0) for light in lights]
@@ -109,16 +123,18 @@ def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
     shape = (view.rows, view.columns)
     return Losses(
         np.concatenate([part.oblique for part in parts]).reshape(shape),
+        np.concatenate([part.hits for part in parts]).reshape(shape),
         np.concatenate([part.undecided for part in parts]).reshape(shape),
         np.concatenate([part.slope for part in parts]).reshape(shape),
     )
 
 
-def _oblique(scene: Scene, part: Losses, pixel: NDArray[np.intp], origin: Any, direction: Any) -> None:
+def _oblique(scene: Scene, part: Losses, pixel: NDArray[np.intp], origin: Any, direction: Any, hit: Any = -1) -> None:
     """How far a ray still is from the point closest to an ellipsoid's centre when Mitsuba sets up the quadratic.
 
     In the ellipsoid's space, its radius 1. The routine first walks along the ray to that point, to keep the digits of
     the discriminant, but divides by |d| where |d|^2 is due: in an instance, where |d| < 1, it stops h short of it.
+    `hit` is the sphere that each ray hits.
     """
     direction = direction / np.linalg.norm(direction, axis=0)
     for i in scene.distinct:
@@ -131,6 +147,7 @@ def _oblique(scene: Scene, part: Losses, pixel: NDArray[np.intp], origin: Any, d
         # Far from the outline no error of the discriminant decides anything.
         h = np.where(beside < 4, along * (1 - speed), 0)
         part.oblique[pixel] = np.maximum(part.oblique[pixel], h**2)
+        part.hits[pixel] = np.maximum(part.hits[pixel], np.where(hit == i, h**2, 0))
 
 
 def _cosine(normal: Any, direction: Any) -> Any:
@@ -147,3 +164,77 @@ def fits_float32(scene: Scene) -> bool:
     for light in scene.lights:
         numbers += [*light.position, *light.intensity]
     return all(number == 0 or RANGE[0] <= abs(number) <= RANGE[1] for number in numbers)
+
+
+def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[Rule]:
+    """The rule by which Mitsuba decides on flat chords inside a sphere; docs/tolerances.md derives the bound."""
+    from validation.rules import Rule
+    from validation.truth import Follower, Hit, Prover, Vector
+
+    ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
+    roundings: float = SPHERE_ROUNDINGS + (INSTANCE_ROUNDINGS if ellipsoids else 0)
+
+    class Flat(Follower):
+        """A ray from the inside of a sphere whose discriminant c^2 is within the rounding of float32.
+
+        A chord is the bounce at which it starts and the light that it leads to, -1: it is reflected. Mitsuba may miss
+        its far end, or find it before a light that stands before it.
+        """
+
+        otherwise: frozenset[tuple[int, int]] = frozenset()
+        found: set[tuple[int, int]]
+
+        def flat(self, sphere: int, gradient: Vector, direction: Vector, point: Vector, end: float) -> bool:
+            """Whether c^2 = (n.d)^2 / d.d, in the space of the sphere, is below the bound."""
+            A = sum(w * d * d for w, d in zip(self.tables.w[sphere], direction, strict=True))
+            B = sum(g * d for g, d in zip(gradient, direction, strict=True))
+            scaling = [abs(value) for value in scene.spheres[sphere].scaling]
+            size = math.hypot(*map(_about, point)) + end
+            lost = roundings
+            if float32_roots and len(set(scaling)) > 1:
+                # As in `_oblique`: along the ray to the point next to the centre, and how short of it the walk ends.
+                length = math.hypot(*map(_about, direction))
+                speed = math.sqrt(_about(A)) * min(scaling) / length
+                lost += GROWTH * (_about(B) / math.sqrt(_about(A)) * (1 - speed)) ** 2
+            bound = CHORD * lost * UNIT_ROUNDOFF * size / min(scaling)
+            return _about(B) < 0 and _about(B) ** 2 < bound * _about(A)
+
+        def nearest(
+            self, relative: list[Any], direction: Vector, bounce: int, own: int, inside: bool
+        ) -> tuple[int, Any, bool, bool] | None:
+            """The chord's far end is there, or not."""
+            if inside:
+                (mx, my, mz), gradient, _ = relative[own]
+                px, py, pz = self.tables.position[own]
+                if self.flat(own, gradient, direction, (mx + px, my + py, mz + pz), 0.0):
+                    self.found.add((bounce - 1, -1))
+                    inside = (bounce - 1, -1) not in self.otherwise
+            return super().nearest(relative, direction, bounce, own, inside)
+
+        def hides(self, hit: Hit, relative: Any, to_light: Vector, i: int, j: int) -> bool:
+            """The sphere hides the light, or not."""
+            hidden = super().hides(hit, relative, to_light, i, j)
+            end = math.hypot(*scene.lights[i].position)
+            if j == hit.sphere and hit.inside and self.flat(j, relative[1], to_light, hit.point, end):
+                self.found.add((hit.bounce, i))
+                hidden ^= (hit.bounce, i) in self.otherwise
+            return hidden
+
+    def choices(x: int, y: int) -> Iterator[type[Follower]]:
+        """One chord is decided otherwise, then two, and so on; after a chord that is lost the ray has others."""
+        waiting: list[frozenset[tuple[int, int]]] = [frozenset()]
+        for otherwise in waiting:
+            found: set[tuple[int, int]] = set()
+            follower = type("Flat", (Flat,), {"otherwise": otherwise, "found": found})
+            Prover(scene, settings, follower=follower).examine(x, y)
+            waiting += [otherwise | {chord} for chord in sorted(found) if chord > max(otherwise, default=(-1, -1))]
+            if otherwise:
+                yield follower
+
+    says = "cannot tell the far end of a chord inside a sphere from its start, where the chord is so flat"
+    return [Rule(says, choices=choices)]
+
+
+def _about(value: Any) -> float:
+    """A ball or an exact number as a float."""
+    return float(getattr(value, "ball", value).mid())

@@ -1,0 +1,542 @@
+"""Finds out about one pixel of one renderer: whether it is off, on which decision it parted from truth, and the cause.
+
+A cause counts only if truth, changed the way that cause says, makes the renderer's pixel: every pass that was
+compared, within the renderer's tolerance. Three causes explain a difference: rounding (truth with every number and the
+ray changed by no more than the renderer claims for this kind of decision), a documented rule of the renderer, and a tie
+that the specification does not settle. A known mistake that makes the pixel is named, but excuses nothing; the rest is
+unexplained.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import random
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tracer.passes import MARGINS, lookup
+from validation import flips, parting
+from validation.parting import Decision
+from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
+from validation.rules import Rule, mistakes
+from validation.truth import Ball, Key, Prover, Truth, UnprovedError
+
+if TYPE_CHECKING:
+    from tracer import Scene
+    from tracer.margins import Analysis
+    from tracer.passes import Passes
+
+#: The largest change that counts as rounding: the 32 roundings of a careful renderer in half precision, u = 2^-11, the
+#: least precise format there is. Numbers that change by more are another scene, whatever a renderer claims.
+LARGEST = 32 * 2.0**-11
+#: The least that numbers are changed beyond a decision, as a share of the unit by which values may be off.
+NEAREST = 2.0**-20
+#: Changes grow by this factor, and where one comes near to the pixel, others around it are tried.
+GROWTH, AROUND = 4.0, 6
+#: Where several decisions lie within a claim, up to so many may flip at once, of the nearest so many.
+SEVERAL, FEW = 2, 6
+#: Sensitivities are what takes time: of a pixel and renderer so many at most.
+SENSITIVITIES = 16
+#: Of what makes a pixel in part so many are looked at further.
+HALFWAY = 6
+#: Of a rule that leaves decisions open so many ways to take them.
+CHOICES = 64
+#: Decisions that are forced, whatever they would take, to say which one must have been taken otherwise.
+FORCED = 64
+
+#: Other pixels that are asked before a mistake is believed, and by how many tolerances one of them has to differ.
+WITNESSES, CLEARLY = 64, 100
+
+#: What a cause is worth: the first three explain a difference.
+EXPLAINED = ("rounding", "rule", "tie")
+
+
+@dataclass(frozen=True)
+class Side:
+    """One renderer and what it drew."""
+
+    renderer: Renderer
+    passes: Passes
+    claim: Uncertainty
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One renderer at one pixel.
+
+    `errors`: by pass how far it is from the exact value at most, of those that are off by more than its tolerance;
+    empty for a renderer that is right. `cause`: "rounding", "rule", "tie", "mistake", "unexplained", or "" for one that
+    is right. `change`: the relative change with which truth makes the same pixel, of a rounding.
+    """
+
+    renderer: str
+    errors: Mapping[str, float] = field(default_factory=dict)
+    decision: Decision | None = None
+    cause: str = ""
+    because: str = ""
+    change: float | None = None
+
+    @property
+    def right(self) -> bool:
+        """Whether every pass is within the tolerance of truth."""
+        return not self.errors
+
+    @property
+    def explained(self) -> bool:
+        """Whether the specification and the renderer's documents leave room for what it did."""
+        return self.right or self.cause in EXPLAINED
+
+
+class Court:
+    """Judges pixels of one scene."""
+
+    def __init__(
+        self, scene: Scene, settings: Settings, analysis: Analysis, bounds: Mapping[str, float] | None = None
+    ) -> None:
+        """What all pixels share.
+
+        `analysis`: margins and sensitivities at this size, with these settings. `bounds`: by pass what a pixel without
+        a finite tolerance is held to.
+        """
+        self.scene, self.settings, self.analysis, self.bounds = scene, settings, analysis, bounds or {}
+        self.prover = Prover(scene, settings)
+        self._rules: dict[Rule, Prover] = {}
+        self._documented: dict[str, Sequence[Rule]] = {}
+        self._mistakes = list(mistakes(scene, settings))
+        self._against: dict[tuple[Rule, str], int] = {}
+
+    def find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
+        """Whether one renderer is off at a pixel, and why."""
+        pixel = _Pixel(self, truth, side, compared)
+        name, errors = side.renderer.name, pixel.errors
+        if not errors:
+            return Finding(name)
+        for possible in self.causes(pixel):
+            return Finding(
+                name, errors, self.parted(pixel, possible), possible.cause, possible.because, possible.change
+            )
+        return Finding(
+            name, errors, pixel.seen(), "unexplained", "no rule, no rounding within its claim makes this pixel"
+        )
+
+    def causes(self, pixel: _Pixel) -> Iterator[_Possible]:
+        """What made a pixel, the likeliest first."""
+        x, y = pixel.truth.x, pixel.truth.y
+        ways = [
+            _Possible("rule", f"as documented, it {rule.says}", pixel.made(prover))
+            for rule in self.documented(pixel.side.renderer)
+            for prover in self.following(rule, x, y)
+        ]
+        yield from pixel.makers(ways)
+        ties = [tie.key for tie in pixel.truth.ties if not tie.settled]
+        even = "an exact tie that the specification does not settle"
+        yield from pixel.makers(
+            [_Possible("tie", even, pixel.made(self.prover.forcing({key: sign}))) for key in ties for sign in (-1, 1)]
+        )
+        yield from self.roundings(pixel, self.prover)
+        for way in pixel.promising(ways):
+            yield from self.roundings(pixel, way.made.prover, f"; {way.because}")
+        for rule in self._mistakes:
+            because = f"truth makes this pixel if it {rule.says}"
+            made = [_Possible("mistake", because, pixel.made(prover)) for prover in self.following(rule, x, y)]
+            for possible in pixel.makers(made):
+                if not self.refuted(rule, pixel):
+                    # Of several that make a pixel the one that made the last.
+                    self._mistakes.remove(rule)
+                    self._mistakes.insert(0, rule)
+                    yield possible
+        yield from self.inexcusable(pixel)
+
+    def inexcusable(self, pixel: _Pixel) -> Iterator[_Possible]:
+        """The single decision that must have been taken otherwise, whatever that takes: named, but no excuse."""
+        found: list[_Possible] = []
+        for flip in flips.flips(self.prover, pixel.truth.x, pixel.truth.y):
+            if len(found) < FORCED and pixel.concerns([flip]):
+                claim = pixel.at(getattr(pixel.side.claim, flip.kind))
+                takes = f"numbers changed by {flip.margin:.2g}" if math.isfinite(flip.margin) else "other numbers"
+                because = f"nothing explains it: to decide so takes {takes}, and it {_may(claim)}"
+                made = pixel.made(self.prover.forcing({flip.key: _touching(flip)}))
+                found.append(_Possible("unexplained", because, made, None, flip, flip.kind))
+        yield from pixel.makers(found)
+
+    def refuted(self, rule: Rule, pixel: _Pixel) -> bool:
+        """Whether a renderer is right where that mistake would show: then it does not make it.
+
+        A single pixel may look like a mistake by chance; so its neighbours are asked, and others all over the image.
+        """
+        view, name = self.scene.view, pixel.side.renderer.name
+
+        def asked(places: Iterable[tuple[int, int]], enough: int) -> int:
+            """How many of them speak against it, or `enough`."""
+            against = 0
+            for x, y in places:
+                beside = _Pixel(self, self.prover.pixel(x, y, ties=False), pixel.side, pixel.compared)
+                if not beside.errors:
+                    against += all(beside.score(beside.made(other)) > CLEARLY for other in self.following(rule, x, y))
+                if against >= enough:
+                    break
+            return against
+
+        # One may lie where the mistake makes no difference but for rounding.
+        enough = 2
+        if (rule, name) not in self._against:
+            count = view.columns * view.rows
+            chosen = random.Random(0).sample(range(count), min(WITNESSES, count))
+            places = [(index % view.columns, index // view.columns) for index in chosen]
+            self._against[rule, name] = asked(places, enough)
+        x, y = pixel.truth.x, pixel.truth.y
+        around = [
+            (x + dx, y + dy)
+            for dy in range(-2, 3)
+            for dx in range(-2, 3)
+            if (dx or dy) and 0 <= x + dx < view.columns and 0 <= y + dy < view.rows
+        ]
+        against = self._against[rule, name]
+        return against + (asked(around, enough - against) if against < enough else 0) >= enough
+
+    def roundings(self, pixel: _Pixel, prover: Prover, besides: str = "") -> Iterator[_Possible]:
+        """Truth with the numbers changed so that one decision flips, by no more than the renderer claims."""
+        x, y = pixel.truth.x, pixel.truth.y
+        claims = {kind: pixel.at(getattr(pixel.side.claim, kind)) for kind in MARGINS}
+        if not self.near(x, y, claims):
+            return
+        within = [flip for flip in flips.flips(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
+        may = f"rounding: it {_may(min(claims.values()))}, and truth makes this pixel{besides}"
+        halfway = [_Possible("rounding", may, pixel.made(prover), 0.0)]
+        for several in range(1, SEVERAL + 1):
+            found = [
+                possible
+                for together in itertools.combinations(within if several == 1 else within[:FEW], several)
+                if pixel.concerns(together)
+                for possible in self.changes(pixel, prover, together, claims, besides)
+            ]
+            yield from pixel.makers(found)
+            halfway += found
+        # A decision may bring others with it that are as near: where two spheres cross, which one is hit first and on
+        # which side of the other the mirror's ray starts.
+        for _ in range(SEVERAL):
+            halfway = [more for possible in pixel.promising(halfway) for more in self.others(pixel, possible, claims)]
+            yield from pixel.makers(halfway)
+
+    def others(self, pixel: _Pixel, possible: _Possible, claims: Mapping[str, float]) -> list[_Possible]:
+        """What makes a pixel in part, with one more decision the other way: one so near that no value tells."""
+        prover, found = possible.made.prover, []
+        for flip in flips.flips(prover, pixel.truth.x, pixel.truth.y):
+            if flip.margin > min(claims[flip.kind], pixel.unit) or not any(
+                _changes(flip.key, name) for name in pixel.errors
+            ):
+                continue
+            because = f"{possible.because}, with {flip.kind} of margin {flip.margin:.2g} decided the other way"
+            made = pixel.made(prover.forcing({flip.key: _touching(flip)}))
+            change = max(possible.change or 0.0, flip.margin)
+            found.append(replace(possible, because=because, made=made, change=change, flip=possible.flip or flip))
+        return found
+
+    def changes(
+        self,
+        pixel: _Pixel,
+        prover: Prover,
+        together: Sequence[flips.Flip],
+        claims: Mapping[str, float],
+        besides: str,
+    ) -> list[_Possible]:
+        """Truth of numbers changed to either side of a decision, those that come nearest to a pixel."""
+        claim = min(claims[flip.kind] for flip in together)
+        way, margin = flips.both(together), max(flip.margin for flip in together)
+        most, first = min(claim, LARGEST), NEAREST * pixel.unit
+
+        def changed(delta: float) -> _Made:
+            return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, way, delta))
+
+        found = []
+        for side in (1, -1):
+            tried = [
+                (pixel.score(made), gap, made)
+                for gap in _gaps(margin, most, first, side)
+                for made in [changed(margin + side * gap)]
+            ]
+            if not tried:
+                continue
+            best = min(tried, key=lambda entry: entry[0])
+            for step in range(1, AROUND // 2 + 1) if 1 < best[0] < math.inf else ():
+                for gap in (best[1] * GROWTH**sign for sign in (2.0**-step, -(2.0**-step))):
+                    if abs(margin + side * gap) <= most:
+                        made = changed(margin + side * gap)
+                        best = min(best, (pixel.score(made), gap, made), key=lambda entry: entry[0])
+            _, gap, made = best
+            delta, beyond = margin + side * gap, margin + side * pixel.unit
+            if gap < pixel.unit:
+                made.gap, made.beyond = gap, changed(beyond if abs(beyond) <= most else side * most)
+            because = f"rounding: it {_may(claim)}, and truth of numbers changed by {abs(delta):.2g} makes this pixel"
+            found.append(_Possible("rounding", because + besides, made, abs(delta), way, way.kind))
+        return found
+
+    def near(self, x: int, y: int, claims: Mapping[str, float]) -> bool:
+        """Whether any decision of a pixel is within what is claimed: otherwise there is nothing to look for."""
+        return any(self.analysis.margins[kind][y, x] <= claim for kind, claim in claims.items())
+
+    def documented(self, renderer: Renderer) -> Sequence[Rule]:
+        """Where a renderer says that it decides by rules of its own."""
+        if renderer.name not in self._documented:
+            rules = getattr(renderer, "rules", None)
+            self._documented[renderer.name] = rules(self.scene, self.settings) if rules else ()
+        return self._documented[renderer.name]
+
+    def following(self, rule: Rule, x: int, y: int) -> Iterator[Prover]:
+        """Truth that follows another rule, in every way that the rule leaves open at a pixel."""
+        if rule.choices is not None:
+            for follower in itertools.islice(rule.choices(x, y), CHOICES):
+                yield Prover(self.scene, rule.settings(self.settings), follower=follower)
+            return
+        if rule not in self._rules:
+            self._rules[rule] = Prover(self.scene, rule.settings(self.settings), follower=rule.follower)
+        yield self._rules[rule]
+
+    def parted(self, pixel: _Pixel, possible: _Possible) -> Decision:
+        """The first decision that truth and what made the pixel took otherwise."""
+        decision = parting.part(self.prover, possible.made.prover, pixel.truth.x, pixel.truth.y)
+        if decision is None:
+            return pixel.seen(possible.flip)
+        return replace(decision, kind=possible.kind) if possible.kind else decision
+
+
+@dataclass(frozen=True)
+class _Possible:
+    """What may have made a pixel: cause, sentence, truth that follows it, and of a rounding what it changes."""
+
+    cause: str
+    because: str
+    made: _Made
+    change: float | None = None
+    flip: flips.Flip | None = None
+    kind: str = ""
+
+
+class _Made:
+    """A pixel of truth that is changed somehow.
+
+    `gap`: the change that would take it back over the decision that flips, `beyond`: the same decision farther off.
+    """
+
+    def __init__(self, prover: Prover, x: int, y: int) -> None:
+        self.prover, self.x, self.y = prover, x, y
+        self.gap, self.beyond = math.inf, None
+
+    gap: float
+    beyond: _Made | None
+
+    @functools.cached_property
+    def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
+        """By pass; None where that cannot be had."""
+        try:
+            return self.prover.pixel(self.x, self.y, ties=False).values
+        except UnprovedError:
+            return None
+
+    def value(self, name: str) -> tuple[Ball, ...]:
+        """A pass; it may reflect less often than the renderer."""
+        return (self.values or {}).get(name, (Ball(0, 0, 0.0),) * 3)
+
+    def size(self, name: str) -> float:
+        """The largest channel."""
+        size = max(abs(ball.value) for ball in self.value(name))
+        return size if math.isfinite(size) else 0.0
+
+    @functools.cached_property
+    def facing(self) -> frozenset[int]:
+        """The lights that the primary hit faces."""
+        hits, _ = self.prover.examine(self.x, self.y)
+        return frozenset(sight.light for hit in hits[:1] for sight in hit.sights if sight.faces > 0)
+
+    def sees(self, name: str, value: float) -> bool:
+        """Whether an id or a visibility is the same, or means nothing as the light is behind the surface."""
+        same = self.value(name)[0].value == value
+        return same or (name != "id" and int(name.removeprefix("shadow.L")) not in self.facing)
+
+    @functools.cached_property
+    def moves(self) -> Mapping[str, float]:
+        """Sensitivities: the largest, a bound of every channel."""
+        found = flips.sensitivity(self.prover, self.x, self.y)
+        return {name: max(channels) for name, channels in found.items()}
+
+
+class _Pixel:
+    """What a renderer drew at one pixel, beside truth."""
+
+    def __init__(self, court: Court, truth: Truth, side: Side, compared: Sequence[str]) -> None:
+        self.court, self.truth, self.side, self.compared = court, truth, side, compared
+        self.left = SENSITIVITIES
+        x, y = truth.x, truth.y
+        self.values: dict[str, list[float]] = {}
+        drawn = [name for name in ("id",) if name in side.passes and name not in compared]
+        hit = truth.id >= 0 and ("id" not in side.passes or int(side.passes["id"][y, x]) >= 0)
+        for name in (*drawn, *compared):
+            row = lookup(name)
+            if row.quantity in ("length", "position", "normal", "visibility") and not hit:
+                continue
+            if row.quantity == "visibility" and not court.analysis.lit[int(name.removeprefix("shadow.L"))][y, x]:
+                continue
+            self.values[name] = [float(value) for value in np.atleast_1d(side.passes[name][y, x])]
+        unit = self.at(side.claim.unit)
+        # Where it claims nothing, truth has to come as near as anywhere else to be taken for the cause.
+        self.unit = unit if math.isfinite(unit) else float(np.min(side.claim.unit))
+        self.errors = self.off()
+
+    def at(self, value: PerPixel) -> float:
+        """A number that may depend on the pixel."""
+        return float(np.broadcast_to(value, self.court.analysis.ids.shape)[self.truth.y, self.truth.x])
+
+    def tolerance(self, name: str, sensitivity: float, size: float) -> float:
+        """How far this renderer's value may be from the exact one."""
+        quantity = lookup(name).quantity
+        if quantity in ("id", "visibility"):
+            return 0.0
+        absolute = self.at(self.side.claim.absolute.get(quantity, 0.0))
+        if quantity == "normal":
+            absolute += self.unit
+        moves = self.unit * (sensitivity + size) if sensitivity + size else 0.0
+        return moves + absolute
+
+    def sensitivity(self, name: str) -> float:
+        """Of the exact value, in float64."""
+        return float(self.court.analysis.sensitivity[name][self.truth.y, self.truth.x])
+
+    def off(self) -> dict[str, float]:
+        """By pass the error, where it is above the tolerance."""
+        found = {}
+        for name, values in self.values.items():
+            error = distance(name, values, self.truth.values[name])
+            tolerance = self.tolerance(name, self.sensitivity(name), 0.0)
+            if not error <= (tolerance if math.isfinite(tolerance) else self.court.bounds.get(name, 0.0)):
+                found[name] = error
+        # In float64 a decision of the pixel may have gone the other way, and its sensitivities with it.
+        margin = min(float(margins[self.truth.y, self.truth.x]) for margins in self.court.analysis.margins.values())
+        if found and margin <= self.unit:
+            made = self.made(self.court.prover)
+            made.gap = margin
+            found = {name: error for name, error in found.items() if not self.agrees(name, self.values[name], made)}
+        return found
+
+    def concerns(self, together: Sequence[flips.Flip]) -> bool:
+        """Whether decisions can change all that is off, and each of them some of it."""
+        changed = [{name for name in self.errors if _changes(flip.key, name)} for flip in together]
+        return all(changed) and len(set[str]().union(*changed)) == len(self.errors)
+
+    def made(self, prover: Prover) -> _Made:
+        """The same pixel of changed truth."""
+        return _Made(prover, self.truth.x, self.truth.y)
+
+    def makers(self, possible: Sequence[_Possible]) -> Iterator[_Possible]:
+        """Of several those that make this pixel, the nearest first."""
+        scores = [(self.score(entry.made), entry) for entry in possible]
+        for score, entry in sorted(scores, key=lambda each: each[0]):
+            if score < math.inf and not self.idle(entry) and self.made_by(entry.made):
+                yield entry
+
+    def idle(self, possible: _Possible) -> bool:
+        """Whether something that is no rounding is nothing but truth in all that is off: then it is not the cause."""
+        if possible.cause == "rounding":
+            return False
+        made = possible.made
+        same = all(made.value(name) == self.truth.values[name] for name in self.errors)
+        return same and not any(
+            lookup(name).quantity == "visibility" and int(name.removeprefix("shadow.L")) not in made.facing
+            for name in self.errors
+        )
+
+    def promising(self, possible: Sequence[_Possible]) -> list[_Possible]:
+        """Of several that make this pixel in part at most, those that make the most of what is off."""
+
+        def missed(entry: _Possible) -> int:
+            return sum(self.far(name, self.values[name], entry.made) > CLEARLY for name in self.errors)
+
+        ranked = sorted((missed(entry), place) for place, entry in enumerate(possible) if entry.made.values is not None)
+        return [possible[place] for _, place in ranked[:HALFWAY]]
+
+    def score(self, made: _Made) -> float:
+        """How far changed truth is from this pixel, in rough tolerances; inf: another id or visibility."""
+        if made.values is None:
+            return math.inf
+        return max((self.far(name, values, made) for name, values in self.values.items()), default=0.0)
+
+    def far(self, name: str, values: Sequence[float], made: _Made) -> float:
+        """The same of one pass; 0 within the tolerance."""
+        if lookup(name).quantity in ("id", "visibility"):
+            return 0.0 if made.sees(name, values[0]) else math.inf
+        error = distance(name, values, made.value(name))
+        sensitivity = self.sensitivity(name)
+        allowed = self.tolerance(name, sensitivity if math.isfinite(sensitivity) else 1.0, made.size(name))
+        return 0.0 if error <= allowed else error / allowed if allowed else math.inf
+
+    def made_by(self, made: _Made) -> bool:
+        """Whether changed truth makes every value of this pixel within the renderer's tolerance there."""
+        return all(self.agrees(name, values, made) for name, values in self.values.items())
+
+    def agrees(self, name: str, values: Sequence[float], made: _Made) -> bool:
+        """Whether one pass does."""
+        if lookup(name).quantity in ("id", "visibility"):
+            return made.sees(name, values[0])
+        error, size = distance(name, values, made.value(name)), made.size(name)
+        if error <= self.tolerance(name, 0.0, size):
+            return True
+        # What the first order says of a value next to a decision holds as far as the decision: just behind an outline
+        # the slope has no bound. Beyond the gap the slope that counts is the one farther off.
+        for truth, share in ((made, min(1.0, made.gap / self.unit)), (made.beyond, 1.0)):
+            if truth is not None and "moves" not in vars(truth):
+                if not self.left:
+                    return False
+                self.left -= 1
+            if truth is not None and error <= self.tolerance(name, share * truth.moves.get(name, 0.0), size):
+                return True
+        return False
+
+    def seen(self, flip: flips.Flip | None = None) -> Decision:
+        """What can be told from the values alone; `flip`: the decision they are near to."""
+        return parting.seen(self.court.scene, self.truth.id, self.values, self.errors, flip)
+
+
+def _touching(flip: flips.Flip) -> int:
+    """The sign of a decision taken otherwise; the first that a ray does with a sphere it misses is to touch it."""
+    return 0 if flip.key.what == "meets" and flip.other > 0 else flip.other
+
+
+def _may(claim: float) -> str:
+    """What a renderer claims, as a clause."""
+    return f"may be off by {claim:.2g}" if claim < 1 else "claims no bound here"
+
+
+def _changes(key: Key, name: str) -> bool:
+    """Whether a decision can change a pass."""
+    if name in ("beauty", "reflection") or name.startswith("reflection."):
+        bounce = int(name.removeprefix("reflection.")) if "." in name else None
+        if bounce is None:
+            return name == "beauty" or key.bounce > 0 or key.light < 0
+        return bounce == key.bounce or (key.light < 0 and bounce > key.bounce)
+    if key.light < 0 or key.bounce:
+        return key.bounce == 0
+    if key.what == "shines":
+        return name in ("specular", "direct")
+    # Where N.L is not above 0 visibility means nothing.
+    return name in ("diffuse", "specular", "direct", f"shadow.L{key.light}")
+
+
+def _gaps(margin: float, claim: float, first: float, side: int) -> list[float]:
+    """How far beyond a decision numbers are changed, to that side: from `first` to where the claim ends."""
+    last = claim - margin if side > 0 else claim + margin
+    if not first <= last:
+        return [last] if last > 0 else []
+    count = math.ceil(math.log(last / first, GROWTH))
+    return [min(first * GROWTH**k, last) for k in range(count + 1)]
+
+
+def distance(name: str, values: Sequence[float], exact: Sequence[Ball]) -> float:
+    """The error of a pass at a pixel: its largest channel; of a normal the length of the difference."""
+    errors = [ball.error(value) for value, ball in zip(values, exact, strict=True)]
+    if any(math.isnan(error) for error in errors):
+        return math.inf
+    return math.hypot(*errors) if lookup(name).quantity == "normal" else max(errors)

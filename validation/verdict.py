@@ -1,0 +1,186 @@
+"""Why two renderers differ: of every pixel who is off by how much, on which decision they parted, and the cause."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from validation.court import EXPLAINED, Court, Finding, Side
+from validation.parting import Decision
+from validation.renderers import Settings
+from validation.truth import Truth, UnprovedError
+
+if TYPE_CHECKING:
+    from tracer import Scene
+    from tracer.margins import Analysis
+    from validation.compare import Comparison, Record
+
+__all__ = ["EXPLAINED", "Court", "Decision", "Finding", "Group", "Side", "Verdict", "Verdicts", "differing", "judge"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One pixel at which two renderers differ: column x, row y, the passes, and what truth says about either."""
+
+    x: int
+    y: int
+    passes: tuple[str, ...]
+    truth: Truth
+    renderer: Finding
+    reference: Finding
+    edge: bool
+
+    @property
+    def findings(self) -> tuple[Finding, Finding]:
+        """Both sides."""
+        return self.renderer, self.reference
+
+    @property
+    def wrong(self) -> tuple[Finding, ...]:
+        """Whoever is off."""
+        return tuple(finding for finding in self.findings if not finding.right)
+
+    @property
+    def explained(self) -> bool:
+        """Whether no side did what nothing explains."""
+        return all(finding.explained for finding in self.findings)
+
+
+@dataclass
+class Group:
+    """Pixels with the same wrong renderer, decision and cause."""
+
+    verdicts: list[Verdict]
+    finding: Finding  # of the first
+
+    @property
+    def explained(self) -> bool:
+        """Whether the cause explains it."""
+        return self.finding.explained
+
+    def sentence(self) -> str:
+        """One line."""
+        finding, first = self.finding, self.verdicts[0]
+        count = len(self.verdicts)
+        pixels = "1 pixel" if count == 1 else f"{count} pixels"
+        place = f"{'at' if count == 1 else 'e.g. at'} {first.x} {first.y}"
+        if finding.right:
+            return f"{pixels}: neither is off by more than it claims ({place})"
+        assert finding.decision is not None
+        what = finding.decision.says if count == 1 else finding.decision.pattern
+        return f"{pixels}: {finding.renderer} {what} ({place}): {finding.because}"
+
+    def record(self) -> Record:
+        """For the result file."""
+        finding = self.finding
+        decision = finding.decision
+        return {
+            "wrong": None if finding.right else finding.renderer,
+            "cause": finding.cause or None,
+            "because": finding.because,
+            "decision": None if decision is None else {"kind": decision.kind, "says": decision.pattern},
+            "explained": self.explained,
+            "pixels": [[verdict.x, verdict.y] for verdict in self.verdicts],
+        }
+
+
+@dataclass
+class Verdicts:
+    """Everything that was judged of one scene and pair."""
+
+    scene: str
+    renderer: str
+    reference: str
+    differ: int  # pixels in which some pass differs
+    verdicts: list[Verdict]
+    unproved: list[tuple[int, int]] = field(default_factory=list)  # where no precision was enough for truth
+
+    @property
+    def explained(self) -> bool:
+        """Whether every pixel that was judged is explained."""
+        return not self.unproved and all(verdict.explained for verdict in self.verdicts)
+
+    def groups(self) -> list[Group]:
+        """Pixels by wrong renderer, cause and decision; those that nothing explains first, then the largest."""
+        found: dict[tuple[str, ...], Group] = {}
+        for verdict in self.verdicts:
+            for finding in verdict.wrong or (verdict.renderer,):
+                pattern = finding.decision.pattern if finding.decision else ""
+                because = "" if finding.cause == "rounding" else finding.because
+                key = finding.renderer if verdict.wrong else "", finding.cause, pattern, because
+                found.setdefault(key, Group([], finding)).verdicts.append(verdict)
+        return sorted(found.values(), key=lambda group: (group.explained, -len(group.verdicts)))
+
+    def record(self) -> Record:
+        """For the result file."""
+        return {
+            "scene": self.scene,
+            "renderer": self.renderer,
+            "reference": self.reference,
+            "differ": self.differ,
+            "judged": len(self.verdicts),
+            "explained": self.explained,
+            "groups": [group.record() for group in self.groups()],
+        }
+
+
+# ---- which pixels
+
+
+def differing(comparisons: Iterable[Comparison]) -> dict[tuple[int, int], list[str]]:
+    """The pixels (column, row) of comparisons of one pair that are over tolerance, each with the passes."""
+    pixels: dict[tuple[int, int], list[str]] = {}
+    for comparison in comparisons:
+        if comparison.maps is None:
+            continue
+        for y, x in np.argwhere(comparison.maps.over):
+            pixels.setdefault((int(x), int(y)), []).append(comparison.pass_name)
+    return pixels
+
+
+def judge(
+    scene: Scene,
+    label: str,
+    settings: Settings,
+    analysis: Analysis,
+    renderer: Side,
+    reference: Side,
+    comparisons: Sequence[Comparison],
+    *,
+    most: int,
+) -> Verdicts | None:
+    """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does."""
+    pixels = differing(comparisons)
+    if not pixels or not most:
+        return None
+    chosen = sorted(pixels, key=lambda place: (place[1], place[0]))
+    if len(chosen) > most:
+        # The same sample for the same picture.
+        chosen = sorted(random.Random(0).sample(chosen, most), key=lambda place: (place[1], place[0]))
+    # As in the comparison: where there is no bound, the largest one of the interior.
+    bounds = {
+        comparison.pass_name: float(maps.tolerance[maps.compared & ~maps.edge].max(initial=0.0))
+        for comparison in comparisons
+        if (maps := comparison.maps) is not None
+    }
+    court = Court(scene, settings, analysis, bounds)
+    compared = tuple(comparison.pass_name for comparison in comparisons if comparison.maps is not None)
+    verdicts, unproved = [], []
+    for x, y in chosen:
+        edge = any(
+            bool(comparison.maps.edge[y, x])
+            for comparison in comparisons
+            if comparison.maps is not None and comparison.pass_name in pixels[x, y]
+        )
+        try:
+            truth = court.prover.pixel(x, y)
+        except UnprovedError:
+            unproved.append((x, y))
+            continue
+        found = [court.find(truth, side, compared) for side in (renderer, reference)]
+        verdicts.append(Verdict(x, y, tuple(pixels[x, y]), truth, found[0], found[1], edge))
+    return Verdicts(label, renderer.renderer.name, reference.renderer.name, len(pixels), verdicts, unproved)
