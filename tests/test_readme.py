@@ -1,4 +1,4 @@
-"""Every example of the README runs and prints what it shows; every link in the documents leads somewhere."""
+"""Every example of the documents runs and prints what it shows; every link in them leads somewhere."""
 
 from __future__ import annotations
 
@@ -12,22 +12,28 @@ from pathlib import Path
 
 import pytest
 
+from validation import renderers
+from validation.rules import MISTAKES
+
+llvm = renderers.get("mitsuba-spec@llvm")
+
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("scenes/*.md")])
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BLOCKS = BLOCK.findall(README)
+DIFFERENCES = (ROOT / "docs" / "known-differences.md").read_text(encoding="utf-8")
 
 
-def blocks(language: str) -> list[str]:
-    return [text for name, text in BLOCKS if name == language]
+def blocks(language: str, document: str = README) -> list[str]:
+    return [text for name, text in BLOCK.findall(document) if name == language]
 
 
-def examples() -> list[tuple[str, str]]:
+def examples(document: str = README) -> list[tuple[str, str]]:
     """Every command of the console blocks, in order, with the output shown below it."""
     found: list[tuple[str, str]] = []
-    for text in blocks("console"):
+    for text in blocks("console", document):
         for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
             command, _, output = part.partition("\n")
             found.append((command, output))
@@ -96,6 +102,22 @@ def test_every_command_prints_what_is_shown(workplace: Path) -> None:
     made = {"mirrors.ppm", "sunset.ppm", "results.json", "lantern.exr", "other.npz", "diffuse-only.xml"}
     assert made <= {path.name for path in workplace.iterdir()}
     assert (workplace / "report" / "index.html").stat().st_size > 0
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize(("command", "shown"), examples(DIFFERENCES), ids=lambda text: " ".join(text.split()[2:5]))
+def test_every_known_difference_is_as_shown(command: str, shown: str, workplace: Path, need) -> None:
+    need(llvm.unavailable() is None, str(llvm.unavailable()))
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=workplace, env=environment() | {"COLUMNS": "100"}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert matches(shown, done.stdout), done.stdout
+
+
+def test_every_known_mistake_is_told() -> None:
+    for mistake in MISTAKES:
+        assert f"| {mistake.says} |" in DIFFERENCES
 
 
 def test_every_python_block_prints_what_is_shown(workplace: Path) -> None:

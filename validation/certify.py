@@ -46,10 +46,6 @@ Array = NDArray[np.float64]
 PIXELS, EDGES = 2000, 500
 #: The other side of every comparison here: it is not off.
 PROVED = Uncertainty(0.0, 0.0, 0.0, 0.0, 0.0)
-#: No decision is wrong at a margin above this many times what a renderer claims; one that keeps to the specification in
-#: floating point claims EDGE_ROUNDINGS and gets twice that. Only pixels without a bound need this: of all others those
-#: above the claim are interior ones, which have to be within tolerance.
-FURTHEST, FURTHEST_FLOAT = 1.0, 2.0
 #: So many wrong pixels are told.
 TOLD = 10
 
@@ -219,14 +215,9 @@ class Certificate:
         return sum(entry.interior_over for entry in self.passes)
 
     @property
-    def furthest(self) -> float:
-        """From this multiple of its uncertainty on no decision may be wrong."""
-        return FURTHEST if self.unit is None else FURTHEST_FLOAT
-
-    @property
     def ok(self) -> bool:
         """Whether the renderer holds what it claims."""
-        return not self.over and (self.wrong_claim is None or self.wrong_claim < self.furthest)
+        return not self.over and (self.wrong_claim is None or self.wrong_claim < 1)
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""

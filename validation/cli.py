@@ -33,6 +33,8 @@ PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
 DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED = 1, 2, 3, 130, 128 + 13
 #: As the scene format limits columns and rows.
 LONGEST_SIDE = 100_000
+#: That of validation.run, which takes longer to import than help may take; a test holds them together.
+MOST_VERDICTS = 100
 
 
 class ReaderGoneError(Exception):
@@ -294,8 +296,9 @@ def validate(
     whitted validate scenes/gallery/mirrors.txt --report out
     whitted validate scenes --renderer native-f64 --against mitsuba-spec,numpy-f64 --size 100x100
 
-    Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a renderer failed.
-    """
+    Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a
+    renderer failed.
+    """  # noqa: D301 - click wants that character, not a backslash
     from validation import renderers
     from validation.run import load_scenes
     from validation.run import validate as run

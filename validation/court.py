@@ -18,13 +18,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from flint.utils.flint_exceptions import FlintError
 
 from tracer.passes import MARGINS, lookup
 from validation import flips, parting
 from validation.parting import Decision
 from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
 from validation.rules import Rule, mistakes
-from validation.truth import Ball, Key, Prover, Truth, UnprovedError
+from validation.truth import Ball, Key, Prover, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -36,10 +37,13 @@ if TYPE_CHECKING:
 LARGEST = 32 * 2.0**-11
 #: The least that numbers are changed beyond a decision, as a share of the unit by which values may be off.
 NEAREST = 2.0**-20
-#: Changes grow by this factor, and where one comes near to the pixel, others around it are tried.
-GROWTH, AROUND = 4.0, 6
-#: Where several decisions lie within a claim, up to so many may flip at once, of the nearest so many.
-SEVERAL, FEW = 2, 6
+#: Changes grow by these factors, for one decision and for two, and where one comes near to the pixel, others around it
+#: are tried.
+GROWTH, AROUND = (4.0, 16.0), 6
+#: Where several decisions lie within a claim, two may flip at once, of the nearest so many.
+FEW = 10
+#: So many more may be taken otherwise besides.
+BESIDES = 2
 #: Sensitivities are what takes time: of a pixel and renderer so many at most.
 SENSITIVITIES = 16
 #: Of what makes a pixel in part so many are looked at further.
@@ -51,6 +55,9 @@ FORCED = 64
 
 #: Other pixels that are asked before a mistake is believed, and by how many tolerances one of them has to differ.
 WITNESSES, CLEARLY = 64, 100
+
+#: What changed truth may end in: roots of negative numbers, behind forced decisions, or where no precision is enough.
+NOWHERE = (ArithmeticError, FlintError)
 
 #: What a cause is worth: the first three explain a difference.
 EXPLAINED = ("rounding", "rule", "tie")
@@ -208,10 +215,12 @@ class Court:
         within = [flip for flip in flips.flips(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
         may = f"rounding: it {_may(min(claims.values()))}, and truth makes this pixel{besides}"
         halfway = [_Possible("rounding", may, pixel.made(prover), 0.0)]
-        for several in range(1, SEVERAL + 1):
+        singles = [(flip,) for flip in within]
+        pairs = [(a, b) for a, b in itertools.combinations(within[:FEW], 2) if a.key != b.key]
+        for sets in (singles, pairs):
             found = [
                 possible
-                for together in itertools.combinations(within if several == 1 else within[:FEW], several)
+                for together in sets
                 if pixel.concerns(together)
                 for possible in self.changes(pixel, prover, together, claims, besides)
             ]
@@ -219,14 +228,18 @@ class Court:
             halfway += found
         # A decision may bring others with it that are as near: where two spheres cross, which one is hit first and on
         # which side of the other the mirror's ray starts.
-        for _ in range(SEVERAL):
+        for _ in range(BESIDES):
             halfway = [more for possible in pixel.promising(halfway) for more in self.others(pixel, possible, claims)]
             yield from pixel.makers(halfway)
 
     def others(self, pixel: _Pixel, possible: _Possible, claims: Mapping[str, float]) -> list[_Possible]:
         """What makes a pixel in part, with one more decision the other way: one so near that no value tells."""
         prover, found = possible.made.prover, []
-        for flip in flips.flips(prover, pixel.truth.x, pixel.truth.y):
+        try:
+            decisions = flips.flips(prover, pixel.truth.x, pixel.truth.y)
+        except NOWHERE:
+            return []
+        for flip in decisions:
             if flip.margin > min(claims[flip.kind], pixel.unit) or not any(
                 _changes(flip.key, name) for name in pixel.errors
             ):
@@ -248,7 +261,7 @@ class Court:
         """Truth of numbers changed to either side of a decision, those that come nearest to a pixel."""
         claim = min(claims[flip.kind] for flip in together)
         way, margin = flips.both(together), max(flip.margin for flip in together)
-        most, first = min(claim, LARGEST), NEAREST * pixel.unit
+        most, first, growth = min(claim, LARGEST), NEAREST * pixel.unit, GROWTH[len(together) - 1]
 
         def changed(delta: float) -> _Made:
             return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, way, delta))
@@ -257,14 +270,14 @@ class Court:
         for side in (1, -1):
             tried = [
                 (pixel.score(made), gap, made)
-                for gap in _gaps(margin, most, first, side)
+                for gap in _gaps(margin, most, first, growth, side)
                 for made in [changed(margin + side * gap)]
             ]
             if not tried:
                 continue
             best = min(tried, key=lambda entry: entry[0])
             for step in range(1, AROUND // 2 + 1) if 1 < best[0] < math.inf else ():
-                for gap in (best[1] * GROWTH**sign for sign in (2.0**-step, -(2.0**-step))):
+                for gap in (best[1] * growth**sign for sign in (2.0**-step, -(2.0**-step))):
                     if abs(margin + side * gap) <= most:
                         made = changed(margin + side * gap)
                         best = min(best, (pixel.score(made), gap, made), key=lambda entry: entry[0])
@@ -335,7 +348,7 @@ class _Made:
         """By pass; None where that cannot be had."""
         try:
             return self.prover.pixel(self.x, self.y, ties=False).values
-        except UnprovedError:
+        except NOWHERE:
             return None
 
     def value(self, name: str) -> tuple[Ball, ...]:
@@ -361,7 +374,10 @@ class _Made:
     @functools.cached_property
     def moves(self) -> Mapping[str, float]:
         """Sensitivities: the largest, a bound of every channel."""
-        found = flips.sensitivity(self.prover, self.x, self.y)
+        try:
+            found = flips.sensitivity(self.prover, self.x, self.y)
+        except NOWHERE:
+            return {}
         return {name: max(channels) for name, channels in found.items()}
 
 
@@ -525,13 +541,13 @@ def _changes(key: Key, name: str) -> bool:
     return name in ("diffuse", "specular", "direct", f"shadow.L{key.light}")
 
 
-def _gaps(margin: float, claim: float, first: float, side: int) -> list[float]:
+def _gaps(margin: float, claim: float, first: float, growth: float, side: int) -> list[float]:
     """How far beyond a decision numbers are changed, to that side: from `first` to where the claim ends."""
     last = claim - margin if side > 0 else claim + margin
     if not first <= last:
         return [last] if last > 0 else []
-    count = math.ceil(math.log(last / first, GROWTH))
-    return [min(first * GROWTH**k, last) for k in range(count + 1)]
+    count = math.ceil(math.log(last / first, growth))
+    return [min(first * growth**k, last) for k in range(count + 1)]
 
 
 def distance(name: str, values: Sequence[float], exact: Sequence[Ball]) -> float:

@@ -145,7 +145,7 @@ def _flips(prover: Prover, x: int, y: int, forced: Mapping[Key, int]) -> Iterato
         derivative = {name: _number(slope[key]) for name, slope in by_number.items()}
         moves = sum(map(abs, derivative.values())) + length * across
         sign = signs[key]
-        margin = 0.0 if sign == 0 else abs(_number(value)) / moves if moves else math.inf
+        margin = 0.0 if sign == 0 else abs(_number(value)) / moves if 0 < moves < math.inf else math.inf
         # A tie can go both ways.
         for way in (sign,) if sign else (1, -1):
             change = {name: -int(math.copysign(1, entry)) * way for name, entry in derivative.items() if entry}

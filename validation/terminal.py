@@ -94,7 +94,10 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         text = ": ".join(filter(None, vars(failure).values()))
         # Those of scene files say `error:` after the place.
         click.echo(text if ": error: " in text else f"error: {text}", err=True)
-    unexplained = sum(not verdict.explained for verdicts in result.verdicts for verdict in verdicts.verdicts)
+    unexplained = sum(
+        sum(not verdict.explained for verdict in verdicts.verdicts) + len(verdicts.unproved)
+        for verdicts in result.verdicts
+    )
     agree = sum(comparison.ok for comparison in result.comparisons)
     total = f"{agree} of {len(result.comparisons)} comparisons agree" if result.comparisons else "nothing was compared"
     if not (result.comparisons or result.notes or result.failures):
@@ -108,7 +111,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
 
 def print_verdicts(verdicts: Verdicts) -> None:
     """A line a group of pixels: who is off, on which decision, and why."""
-    judged = len(verdicts.verdicts)
+    judged = len(verdicts.verdicts) + len(verdicts.unproved)
     sample = f", {judged} of them judged, chosen at random" if judged < verdicts.differ else ""
     pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
     click.echo(f"{verdicts.scene} ({verdicts.renderer}, {verdicts.reference}): {pixels}{sample}")
@@ -116,6 +119,11 @@ def print_verdicts(verdicts: Verdicts) -> None:
         mark = "" if group.explained else "UNEXPLAINED: " if group.finding.cause == "unexplained" else "WRONG: "
         text = f"  {mark}{group.sentence()}"
         click.secho(text, fg=None if group.explained else "red", color=colorful())
+    if verdicts.unproved:
+        x, y = verdicts.unproved[0]
+        some = "1 pixel" if len(verdicts.unproved) == 1 else f"{len(verdicts.unproved)} pixels"
+        text = f"  UNEXPLAINED: {some}: truth could not be had at any precision (at {x} {y})"
+        click.secho(text, fg="red", color=colorful())
 
 
 def _alike(failed: Iterable[Comparison]) -> list[list[Comparison]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from validation.compare import json_value
 from validation.court import EXPLAINED, Court, Finding, Side
 from validation.parting import Decision
 from validation.renderers import Settings
@@ -76,16 +77,33 @@ class Group:
 
     def record(self) -> Record:
         """For the result file."""
-        finding = self.finding
+        finding, right = self.finding, self.finding.right
         decision = finding.decision
-        return {
-            "wrong": None if finding.right else finding.renderer,
+        errors: dict[str, float] = {}
+        for verdict in self.verdicts:
+            for other in () if right else verdict.wrong:
+                if other.renderer == finding.renderer:
+                    errors |= {name: max(error, errors.get(name, 0.0)) for name, error in other.errors.items()}
+        entry: Record = {
+            "wrong": None if right else finding.renderer,
             "cause": finding.cause or None,
             "because": finding.because,
-            "decision": None if decision is None else {"kind": decision.kind, "says": decision.pattern},
+            "decision": None
+            if decision is None
+            else {
+                "kind": decision.kind,
+                "says": decision.pattern,
+                "bounce": decision.bounce,
+                "light": decision.light,
+                "sphere": decision.sphere,
+                "t": decision.t,
+            },
+            "errors": errors,
             "explained": self.explained,
             "pixels": [[verdict.x, verdict.y] for verdict in self.verdicts],
         }
+        strict: Record = json_value(entry)
+        return strict
 
 
 @dataclass
@@ -123,6 +141,7 @@ class Verdicts:
             "reference": self.reference,
             "differ": self.differ,
             "judged": len(self.verdicts),
+            "unproved": [list(place) for place in self.unproved],
             "explained": self.explained,
             "groups": [group.record() for group in self.groups()],
         }

@@ -22,6 +22,7 @@ from flint import fmpq
 
 import tracer
 import tracer.margins
+from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, names
 from validation import certify, cli, proofs, renderers
 from validation.certify import Certificate, Proof, certify_scenes, hardest, prove_scene
@@ -221,7 +222,9 @@ def test_where_only_one_hits_the_id_alone_is_wrong(proof: Proof) -> None:
 
 
 def test_no_decision_of_a_float_renderer_is_wrong_above_its_claim(proof: Proof) -> None:
-    margins = {kind: np.full_like(array, 40 * 2.0**-53) for kind, array in proof.analysis.margins.items()}
+    margins = {
+        kind: np.full_like(array, 1.25 * EDGE_ROUNDINGS * 2.0**-53) for kind, array in proof.analysis.margins.items()
+    }
     changed = replace(proof, analysis=replace(proof.analysis, margins=margins))
     native = renderers.get("native-f64")
     judge = Judge(
@@ -231,11 +234,11 @@ def test_no_decision_of_a_float_renderer_is_wrong_above_its_claim(proof: Proof) 
     assert certify.hold(Passes(drawn), native, changed, judge, ("beauty",), seed=0, label="").ok
     drawn["beauty"][proof.y[3], proof.x[3]] += 0.5
     found = certify.hold(Passes(drawn), native, changed, judge, ("beauty",), seed=0, label="")
-    assert (found.over, found.wrong_claim, found.ok) == (1, 40 / 32, False)
+    assert (found.over, found.wrong_claim, found.ok) == (1, 1.25, False)
 
 
-@pytest.mark.parametrize(("roundings", "ok"), [(60, True), (66, False)])
-def test_no_decision_of_a_float_renderer_is_wrong_at_twice_its_claim(
+@pytest.mark.parametrize(("roundings", "ok"), [(EDGE_ROUNDINGS - 2, True), (EDGE_ROUNDINGS + 2, False)])
+def test_without_a_bound_no_decision_is_wrong_above_the_claim(
     roundings: int, ok: bool, proof: Proof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Pretend that all pixels lack a bound, so that they are edges whatever their margins.

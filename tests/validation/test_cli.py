@@ -122,7 +122,7 @@ def test_validate_writes_strict_json(run: Any, scene: Path, tmp_path: Path, regi
     result = run("validate", scene, "--renderer", "double,native-f64", "--against", "numpy-f64", "--json", file)
     assert result.status == 1
     record = strict(file.read_text())
-    assert set(record) == {"ok", "command", "settings", "versions", "comparisons", "notes", "failures"}
+    assert set(record) == {"ok", "command", "settings", "versions", "comparisons", "verdicts", "notes", "failures"}
     assert record["ok"] is False
     assert record["command"][:2] == ["whitted", "validate"]
     assert record["settings"] == {"sample": "corner", "shadow_epsilon": 1e-4, "max_reflections": 3, "threads": 0}
