@@ -1,9 +1,9 @@
-"""How far each pixel is from a discontinuity, and how much its values move: first-order error analysis in float64.
+"""How far each pixel is from a discontinuity, and how much its values move: first-order analysis in float64.
 
-Everything is per unit of a relative change delta of the pixel's ray, of every number of the scene, and of every
-intermediate result. A point in the world then lies within a ball of some radius times delta, a unit vector within some
-angle times delta. A decision "g > 0" whose g moves by at most e delta can flip where delta >= |g| / e: its margin.
-docs/tolerances.md has the formulas in the same order.
+Everything is per unit of a relative change delta of the pixel's ray and of every number of the scene. A decision
+"g > 0" can flip where delta is its margin, |g| over the motion of g; a value moves by delta times its sensitivity. Both
+also count what a careful renderer rounds on the way: DECISION roundings in a decision, and VALUE in a value, count like
+one change of all numbers. docs/tolerances.md has the formulas in the same order.
 """
 
 from __future__ import annotations
@@ -14,7 +14,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.motion import Ellipsoid, Meeting, Pencil, Place, Root, Segment, norm, place, ratio, reflected, slant
+from tracer.cosines import NORMAL, Cosines, Terms
+from tracer.motion import (
+    DECISION,
+    NEAR,
+    VALUE,
+    Beam,
+    Gradient,
+    Shape,
+    Vectors,
+    along,
+    carry,
+    mirrored,
+    norm,
+    primary,
+    ratio,
+    rounding,
+    turned,
+)
 from tracer.passes import MARGINS, Sample, lookup, names
 from tracer.reference import (
     Flags,
@@ -26,25 +43,30 @@ from tracer.reference import (
     bands,
     between,
     check,
+    chord,
+    dot,
     eye_rays,
     incidence,
+    other_root,
     pick,
+    to_unit_space,
     trace,
+    unit,
 )
 
 if TYPE_CHECKING:
-    from tracer import Scene
+    from tracer import Scene, View
 
 # A renderer that keeps to the specification with unit roundoff u is off by at most VALUE_ROUNDINGS u sensitivity, where
 # every margin is above EDGE_ROUNDINGS u. docs/tolerances.md derives both.
-VALUE_ROUNDINGS = 16
-EDGE_ROUNDINGS = 32
+VALUE_ROUNDINGS = 15
+EDGE_ROUNDINGS = 64
 # Outlines hidden behind a hit do not count; this much of t is still in front.
 SLACK = 1e-5
 # The largest delta that the first-order bounds are meant for: where a term that is 0 may grow within it, it counts.
 REACH = 1e-4
-# Powers and products below 2^-24 times this, of a term's full size or of 1, may underflow to 0 in float32.
-UNDERFLOW = 2.0**-100
+# Rays analysed at a time: their derivatives stay in the cache.
+BAND = 1 << 12
 
 
 @dataclass
@@ -73,22 +95,6 @@ class Analysis:
         return self.primary
 
 
-@dataclass
-class Motion:
-    """How far things move with delta: radii in world units, angles in radians."""
-
-    point: Real  # the hit point
-    normal: Real  # angle
-    view: Real  # angle
-
-
-def moved(beam: Pencil | Ellipsoid, at: Place) -> Motion:
-    """How far hit points, normals and views move."""
-    speed = norm(at.direction)
-    point = beam.point(at.t, at.gradient, at.direction)
-    return Motion(point + speed * at.along, at.bend() * point + at.tilt, beam.turn() / speed)
-
-
 def analyse(
     scene: Scene, *, sample: Sample = "corner", shadow_epsilon: float = 1e-4, max_reflections: int = 3
 ) -> Analysis:
@@ -101,7 +107,9 @@ def analyse(
     view = scene.view
     with np.errstate(all="ignore"):
         tables = Tables(scene, np.float64)
-        parts = [Band(scene, tables, eye_rays(tables, view, sample, rows), shadow_epsilon) for rows in bands(view)]
+        parts = [
+            Band(scene, tables, eye_rays(tables, view, sample, rows), shadow_epsilon) for rows in bands(view, BAND)
+        ]
         for part in parts:
             part.run(max_reflections)
         length = sum(outline(scene, j) for j in scene.distinct)
@@ -120,11 +128,6 @@ def analyse(
     )
 
 
-def times(size: Real, error: Real) -> Real:
-    """A size times its error, where nothing of no size has an error."""
-    return np.where(size == 0, 0.0, size * error)
-
-
 class Band:
     """The analysis of a band of pixels."""
 
@@ -140,207 +143,288 @@ class Band:
         self.lit = [np.zeros(count, bool) for _ in range(tables.lights)]
         self.sensitivity: dict[str, NDArray[np.float64]] = {}
 
-    def lower(self, kind: str, pixel: Index, margin: Real, counts: Flags | None = None) -> None:
-        """Take a decision into account, where it can change what is seen."""
-        image = self.margins[kind]
-        found = margin if counts is None else np.where(counts, margin, np.inf)
-        image[pixel] = np.minimum(image[pixel], found)
-
     def run(self, max_reflections: int) -> None:
-        """Follow the rays from bounce to bounce, each with the radius of its error."""
-        view, tables, direction = self.scene.view, self.tables, self.rays.direction
-        count = self.rays.pixel.size
-        sensitivity = {name: np.zeros(count) for name in names(tables.lights, max_reflections, margins=False)}
-        self.sensitivity = sensitivity
-        # The ray's own change, and that of the numbers of the view.
-        right = (direction[0] - view.left) / (view.right - view.left)
-        top = (direction[1] - view.bottom) / (view.top - view.bottom)
-        radius = norm(direction) + norm(
-            np.stack(
-                [
-                    abs(view.left) * np.abs(1 - right) + abs(view.right) * np.abs(right),
-                    abs(view.bottom) * np.abs(1 - top) + abs(view.top) * np.abs(top),
-                    np.full(count, abs(view.near)),
-                ]
-            )
-        )
-        beam: Pencil | Ellipsoid = Pencil(radius)
+        """Follow the rays from hit to hit, each with its derivatives."""
+        tables, sensitivity = self.tables, self.sensitivity
+        for name in names(tables.lights, max_reflections, margins=False):
+            sensitivity[name] = np.zeros(self.rays.pixel.size)
+        beam = primary(view_moves(self.scene.view, self.rays.direction), self.rays.direction)
         for bounce, (rays, hits, at) in enumerate(trace(tables, self.rays, max_reflections)):
-            self.first_hit(rays, hits.sphere, hits.t, beam, after=1 if bounce == 0 else 0)
+            met = self.first_hits(rays, hits.sphere, hits.t, beam, after=1 if bounce == 0 else 0)
+            hit, i = np.flatnonzero(hits.sphere >= 0), at.x.start
+            rays, shape = rays[hit], self.shape(at)
+            beam = carry(beam[hit], rays, at, shape)
+            goes_on = (pick(tables.kr, i) > 0) & (bounce < max_reflections)
+            self.between_spheres(at, beam, {j: flags[hit] for j, flags in met.items()}, goes_on)
             if bounce == 0:
                 self.primary = {kind: margin.copy() for kind, margin in self.margins.items()}
-            hit = np.flatnonzero(hits.sphere >= 0)
-            motion = moved(beam[hit], self.place(at, rays.direction[:, hit]))
-            pixel = at.x.pixel
-            ambient, diffuse, specular, size = self.shading(at, motion, bounce)
+                self.ids = hits.sphere.astype(np.int32)
+            for name, moves in self.shading(at, beam, shape, rays.direction, bounce).items():
+                sensitivity[name][at.x.pixel] = moves
             if bounce == 0:
                 self.lighted = {kind: margin.copy() for kind, margin in self.margins.items()}
-                self.ids = hits.sphere.astype(np.int32)
-                missed = self.ids < 0
-                sensitivity["ambient"][pixel], sensitivity["diffuse"][pixel] = ambient, diffuse
-                sensitivity["specular"][pixel] = specular
-                sensitivity["depth"][pixel] = motion.point + at.t * norm(rays.direction[:, pixel])
-                sensitivity["position"][pixel] = motion.point + at.t * norm(rays.direction[:, pixel])
-                sensitivity["normal"][pixel] = motion.normal
-                sensitivity["beauty"][missed] = np.abs(tables.background).max()
-            else:
-                # Each Kr is a number of the scene, and a product more.
-                sensitivity[f"reflection.{bounce}"][pixel] = at.weight * (
-                    ambient + diffuse + specular + 2 * bounce * size
-                )
-            on = np.flatnonzero(pick(tables.kr, at.x.start) > 0)
-            beam = reflected(beam[hit[on]], self.place(at[on], rays.direction[:, hit[on]]))
-        sensitivity["direct"] = sensitivity["diffuse"] + sensitivity["specular"]
+            if bounce > 0 and not goes_on.any():
+                break
+            normals = turned(beam, shape, i)
+            if bounce == 0:
+                self.geometry(at, beam, shape, normals)
+            beam = mirrored(beam, shape, normals, rays.direction, at.x.direction)[np.flatnonzero(goes_on)]
+        sensitivity["beauty"][self.ids < 0] = np.abs(tables.background).max()
         for bounce in range(1, max_reflections + 1):
             sensitivity["reflection"] += sensitivity[f"reflection.{bounce}"]
         sensitivity["beauty"] += sensitivity["ambient"] + sensitivity["direct"] + sensitivity["reflection"]
         for name in sensitivity:
             sensitivity[name] = np.nan_to_num(sensitivity[name], nan=np.inf, posinf=np.inf)
 
-    def first_hit(self, rays: Rays, sphere: Index, t: Real, beam: Pencil | Ellipsoid, after: float) -> None:
-        """The decisions behind the nearest hit."""
-        tables = self.tables
-        count = rays.pixel.size
-        found = {j: Meeting(tables, self.position, rays, rays.direction, j, beam) for j in tables.distinct}
-        first = {j: meeting.first(after) for j, meeting in found.items()}
-        best = Root(np.full(count, np.inf), np.full(count, np.inf), np.ones(count), np.ones(count))
-        second = np.full(count, np.inf)  # the nearest hit on any other sphere
-        for j, root in first.items():
-            best = root.where(sphere == j, best)
-            second = np.where(sphere == j, second, np.minimum(second, root.t))
+    def decide(
+        self, counts: dict[str, Flags], pixel: Index, beam: Beam, gap: Real, of: Gradient, sphere: Index | int
+    ) -> None:
+        """Take the decision gap > 0 into account, for each kind where it can change what is seen."""
+        limits = [np.where(flags, self.margins[kind][pixel], 0) for kind, flags in counts.items()]
+        margin = beam.margin(gap, of, sphere, np.max(limits, axis=0))
+        for kind, flags in counts.items():
+            self.lower(kind, pixel, np.where(flags, margin, np.inf))
 
-        for j, meeting in found.items():
-            rival = np.where(sphere == j, second, t) * (1 + SLACK)
-            # The outline of a sphere that would be seen where it begins.
-            middle = meeting.line.height / meeting.line.speed
-            counts = ~meeting.own & (middle > after * (1 - SLACK)) & (middle < rival)
-            self.lower("silhouette", rays.pixel, meeting.outline(counts))
-            # A root that crosses the near plane, or the point a reflected ray starts from.
-            for root in meeting.roots:
-                self.lower("range", rays.pixel, root.margin(after), root.t < rival)
-            # Another hit that is nearly as near.
-            gap = first[j].t - t
-            margin = ratio(gap, first[j].error(gap) + best.error(gap))
-            self.lower("order", rays.pixel, margin, (sphere != j) & np.isfinite(gap))
+    def lower(self, kind: str, pixel: Index, margin: Real) -> None:
+        """The smallest margin of a kind counts."""
+        self.margins[kind][pixel] = np.minimum(self.margins[kind][pixel], margin)
 
-    def place(self, at: Surface, direction: Real) -> Place:
-        """What the spheres add to the errors of hits."""
+    def shape(self, at: Surface) -> Shape:
+        """The surfaces at hits."""
         scaling, position = pick(self.tables.scaling, at.x.start), pick(self.position, at.x.start)
-        return place(at.t, direction, at.x.point, scaling, position)
+        gradient = at.x.point / scaling
+        return Shape(at.x.point, gradient, norm(gradient), scaling, position)
 
-    def shading(self, at: Surface, motion: Motion, bounce: int) -> tuple[Real, Real, Real, Real]:
-        """The decisions behind each light, and how much the terms move; last, the size of all terms together."""
+    def geometry(self, at: Surface, beam: Beam, shape: Shape, normals: Vectors) -> None:
+        """How far primary hits and their normals move."""
+        pixel, sensitivity = at.x.pixel, self.sensitivity
+        away, _ = unit(at.x.offset + shape.position)
+        sensitivity["depth"][pixel] = beam.size(along(beam.starts, away), VALUE)
+        sensitivity["position"][pixel] = np.max([beam.size(beam.starts[:, k], VALUE) for k in range(3)], axis=0)
+        # An angle: no more than the sum of the lengths of all turns.
+        sensitivity["normal"][pixel] = beam.size(np.sqrt((normals**2).sum(axis=1)), VALUE) + NORMAL / VALUE
+
+    def form(self, j: int, y: Real, t: Real | float | None, lengths: Real) -> tuple[Real, Gradient]:
+        """The decision |y| > 1, where rays are at y in the unit space of sphere j, at t; None: at their starts.
+
+        `lengths` are those that the point is made of, by component.
+        """
+        scaling, position = self.tables.scaling[:, j : j + 1], self.position[:, j : j + 1]
+        g, squares = y / scaling, y * y
+        # Half of |y|^2 changes with the point by g, and with the sphere's numbers.
+        rounded = rounding(g, lengths + np.abs(position))
+        of = Gradient(g, None if t is None else t * g, -g * position, -squares, np.zeros_like(rounded), rounded)
+        return (squares.sum(axis=0) - 1) / 2, of
+
+    def first_hits(self, rays: Rays, sphere: Index, t: Real, beam: Beam, after: float) -> dict[int, Flags]:
+        """The decisions on the way to the nearest hits: outlines, and the near plane; returns who meets each sphere."""
+        lines, first = {}, {}
+        every = np.ones(t.size, bool)
+        for j in self.tables.distinct:
+            origin, direction = to_unit_space(self.tables, rays, rays.direction, j)
+            lines[j] = line = chord(origin, direction)
+            root = np.where(line.near > after, line.near, line.far)
+            first[j] = np.where(line.meets & (root > after) & (rays.start != j), root, np.inf)
+            if after:
+                of = self.form(j, origin + after * direction, after, beam.reach + np.abs(after * rays.direction))
+                self.decide({"range": every}, rays.pixel, beam, *of, j)
+        for j, line in lines.items():
+            # The outline of a sphere that would be seen where it begins: before the nearest hit on any other one.
+            others = [root for k, root in first.items() if k != j]
+            rival = np.where(sphere == j, np.min(others, axis=0, initial=np.inf), t) * (1 + SLACK)
+            middle = line.height / line.speed
+            counts = (rays.start != j) & (middle > after * (1 - SLACK)) & (middle < rival)
+            of = self.form(j, line.middle, middle, beam.reach + np.abs(middle * rays.direction))
+            self.decide({"silhouette": counts}, rays.pixel, beam, *of, j)
+        # On its own sphere a ray that runs inside meets the other root.
+        return {j: np.isfinite(root) | ((rays.start == j) & rays.inside) for j, root in first.items()}
+
+    def between_spheres(self, at: Surface, beam: Beam, met: dict[int, Flags], goes_on: Flags) -> None:
+        """Whether hits lie in other spheres: so which is nearer, and what a mirrored ray starts in."""
+        for j, rival in met.items():
+            other = at.x.start != j
+            if (other & (rival | goes_on)).any():
+                y, _ = to_unit_space(self.tables, at.x, at.x.direction, j)
+                counts = {"order": other & rival, "range": other & goes_on}
+                self.decide(counts, at.x.pixel, beam, *self.form(j, y, None, beam.reach), j)
+
+    def shading(self, at: Surface, beam: Beam, shape: Shape, direction: Real, bounce: int) -> dict[str, Real]:
+        """The decisions behind each light, and how much the terms move, by pass."""
         tables, i, pixel = self.tables, at.x.start, at.x.pixel
-        color = np.abs(pick(tables.color, i))
+        color = pick(tables.color, i)
         kd, ks, n = pick(tables.kd, i), pick(tables.ks, i), pick(tables.exponent, i)
-        # Products of numbers of the scene: one for each factor and each multiplication.
-        size = (pick(tables.ka, i) * np.abs(tables.ambient) * color).max(axis=0)
-        ambient = 5 * size
-        diffuse, specular = np.zeros_like(ambient), np.zeros_like(ambient)
+        # The factors of each term are numbers of the scene; that has room for the roundings of their products.
+        ambient = 3 * (pick(tables.ka, i) * np.abs(tables.ambient) * color).max(axis=0)
+        size = ambient / 3
+        cosines = Cosines(at, beam, shape, direction)
+        diffuse, specular = Terms(i.size), Terms(i.size)
         for light in range(tables.lights):
-            seen = incidence(tables, at, light)
-            NL, RV = seen.NL, seen.RV
-            distance = norm(seen.to_light)
-            far = np.linalg.norm(self.light[:, light])
-            turn = (motion.point + far) / distance + 1
-            NL_error = slant(NL) * (motion.normal + turn) + 3
-            RV_error = slant(RV) * (2 * motion.normal + turn + motion.view) + 6
-            intensity = np.abs(tables.intensity[:, light])
-            diffuse_size = kd * (intensity[:, None] * color).max(axis=0)
-            specular_size = ks * intensity.max(initial=0)
-            matters = (diffuse_size > 0) | (specular_size > 0)
+            seen, p = incidence(tables, at, light), self.light[:, light : light + 1]
+            NL, RV, facing = seen.NL, seen.RV, seen.NL > 0
+            intensity = tables.intensity[:, light : light + 1]
+            dull, glossy = kd * intensity * color, ks * intensity * np.ones_like(color)
+            has_dull, has_glossy = (dull != 0).any(axis=0), (glossy != 0).any(axis=0)
+            by_NL = cosines.incident(seen, p)
+            of = cosines.of(by_NL)
+            moves = beam.bound(of)
 
-            facing = NL > 0
-            asked = np.arange(i.size) if bounce == 0 else np.flatnonzero(facing & matters)
+            asked = np.flatnonzero((NL + NEAR * moves > 0) & (has_dull | has_glossy | (bounce == 0)))
             hides, by_others = np.ones(i.size, bool), np.zeros(i.size, bool)
-            hides[asked], by_others[asked], margins = self.shadow(
-                at, asked, seen.to_light[:, asked], light, motion.point[asked]
-            )
-            for kind, margin in margins.items():
-                self.lower(kind, pixel[asked], margin, facing[asked])
+            sight = self.shadow(at.x[asked], beam[asked], seen.to_light[:, asked], light)
+            hides[asked], by_others[asked] = sight.hides, sight.by_others
+            for kind, margin in sight.margins.items():
+                self.lower(kind, pixel[asked], np.where(facing[asked], margin, np.inf))
+            # At the primary hit the pass `shadow` is compared where N.L > 0. Behind mirrors only the specular term
+            # jumps where N.L changes its sign; the diffuse term does not.
+            turns = ~by_others & ((bounce == 0) | (has_glossy & (RV > 0)))
+            self.decide({"terminator": turns}, pixel, beam, NL, of, i)
             if bounce == 0:
                 self.lit[light][pixel] = facing
-                # The pass `shadow` is compared where N.L > 0.
-                self.lower("terminator", pixel, ratio(NL, NL_error), ~by_others)
-            else:
-                # The specular term jumps where N.L changes sign; the diffuse term does not.
-                self.lower("terminator", pixel, ratio(NL, NL_error), (specular_size > 0) & (RV > 0))
-            lit = facing & ~hides
-            self.lower("terminator", pixel, ratio(RV, RV_error), lit & (specular_size > 0) & (n < 1))
 
-            near_lit = (NL + REACH * NL_error > 0) & ~(facing & hides)
-            diffuse += np.where(near_lit, times(diffuse_size, NL_error + 8 * np.maximum(NL, 0)) + UNDERFLOW, 0)
-            # The derivative of (R.V)^n, taken at the far end of what R.V may reach.
-            reached = np.clip(RV + REACH * RV_error, 0, 1)
-            slope = np.where(n < 1, n * np.abs(RV) ** (n - 1), n * np.where(RV > 0, np.abs(RV), reached) ** (n - 1))
+            # A term that is 0 counts where it may be lit within REACH, and then may or may not make up for others.
+            lit = has_dull & np.where(facing, ~hides, NL + REACH * moves > 0)
+            cosine = np.maximum(NL, 0)
+            diffuse.add(lit, np.abs(NL) < REACH * moves, dull, by_NL, moves, 3 * cosine)
+            size = size + np.where(lit, np.abs(dull).max(axis=0) * cosine, 0)
+            lit = has_glossy & facing & ~hides
+            if not lit.any():
+                continue
+            by_RV = cosines.mirrored(seen, p)
+            of = cosines.of(by_RV)
+            moves = beam.bound(of)
+            self.decide({"terminator": lit & (n < 1)}, pixel, beam, RV, of, i)
+            lit &= RV + REACH * moves > 0
+            # The derivative of (R.V)^n; where R.V is nearly 0, at the far end of what it may reach.
+            base = np.where(n < 1, np.abs(RV), np.maximum(RV, np.minimum(REACH * moves, 1)))
+            slope = np.where(n > 0, n * base ** (n - 1), 0)
             value = np.where(RV > 0, np.abs(RV) ** n, 0)
+            # The logarithm is the derivative by the exponent.
             logarithm = np.where(RV > 0, n * np.abs(np.log(np.abs(RV))), 0)
-            near_shine = lit & (RV + REACH * RV_error > 0)
-            change = times(slope, RV_error) + value * (8 + logarithm) + UNDERFLOW
-            specular += np.where(near_shine, times(specular_size, change) + UNDERFLOW, 0)
-            size = size + np.where(lit, diffuse_size * np.maximum(NL, 0) + specular_size * value, 0)
-        return ambient, diffuse, specular, size
+            specular.add(lit, REACH * moves > RV, glossy, by_RV, moves, value * (2 + logarithm), slope)
+            size = size + np.where(lit, np.abs(glossy).max(axis=0) * value, 0)
+        if bounce:
+            # Each Kr on the way is a number of the scene.
+            direct = (diffuse + specular).sizes(cosines)
+            return {f"reflection.{bounce}": at.weight * (ambient + direct + bounce * size)}
+        return {
+            "ambient": ambient,
+            "diffuse": diffuse.sizes(cosines),
+            "specular": specular.sizes(cosines),
+            "direct": (diffuse + specular).sizes(cosines),
+        }
 
-    def shadow(
-        self, at: Surface, asked: Index, to_light: Real, light: int, point: Real
-    ) -> tuple[Flags, Flags, dict[str, Real]]:
-        """Which points a light is hidden from, which of them by other spheres, and the margins of that."""
-        tables, epsilon, x = self.tables, self.epsilon, at.x[asked]
-        count = asked.size
-        far = np.full(count, np.linalg.norm(self.light[:, light]))
-        beam = Segment(point, far)
-        none = np.full(count, np.inf)
+    def shadow(self, x: Rays, beam: Beam, to_light: Real, light: int) -> Sight:
+        """What stands between points and a light."""
+        count = x.start.size
+        limit = np.maximum(self.margins["silhouette"][x.pixel], self.margins["range"][x.pixel])
         blockers, by_others = np.zeros(count, int), np.zeros(count, bool)
         # While nothing hides the light, the first sphere to come decides; else all that hide it must go.
-        comes = {"silhouette": none, "range": none}
-        goes = {"silhouette": np.zeros(count), "range": np.zeros(count)}
+        comes = {kind: np.full(count, np.inf) for kind in ("silhouette", "range")}
+        goes = {kind: np.zeros(count) for kind in ("silhouette", "range")}
         goes_any = np.zeros(count)
-        for j in tables.distinct:
-            meeting = Meeting(tables, self.position, x, to_light, j, beam)
-            own, line = meeting.own, meeting.line
-            if tables.light_on[j, light]:
-                root = meeting.second_root()
-                blocks = ~own & between(epsilon, root.t)
-                silhouette = none
-                span = np.where(own, np.inf, np.minimum(root.margin(epsilon), root.margin(1)))
-            else:
-                middle = line.height / line.speed
-                ends = [
-                    (between(epsilon, root.t), np.minimum(root.margin(epsilon), root.margin(1)))
-                    for root in meeting.roots
-                ]
-                blocks = line.meets & (ends[0][0] | ends[1][0])
-                leaves = np.maximum(*(np.where(inside, margin, 0) for inside, margin in ends))
-                enters = np.minimum(ends[0][1], ends[1][1])
-                span = np.where(line.meets, np.where(blocks, leaves, enters), np.inf)
-                over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
-                silhouette = meeting.outline(over & ~own)
-                if own.any():
-                    # From the inside, x's own sphere stands before an outer light; from the outside it never does.
-                    root, end = meeting.own_root(), self.light_end(j, light)
-                    starts = root.margin(epsilon)
-                    own_blocks = between(epsilon, root.t)
-                    own_span = np.where(own_blocks, np.minimum(starts, end), np.where(root.t > epsilon, end, starts))
-                    blocks = np.where(own, own_blocks, blocks)
-                    span = np.where(own, np.where(x.inside, own_span, np.inf), span)
+        for j in self.tables.distinct:
+            own, on = x.start == j, self.tables.light_on[j, light]
+            origin, direction = to_unit_space(self.tables, x, to_light, j)
+            blocks, found = np.zeros(count, bool), {kind: np.full(count, np.inf) for kind in comes}
+            # From the outside a sphere never hides a light that it faces, nor a light that lies on it from its points.
+            cases = ((~own, Segments.of_other), (own & x.inside & (not on), Segments.of_own))
+            for some, decide in cases:
+                rays = np.flatnonzero(some)
+                if rays.size:
+                    start = x.point if decide == Segments.of_own else origin
+                    segments = Segments(self, j, light, start[:, rays], direction[:, rays], beam[rays], limit[rays])
+                    blocks[rays], found["silhouette"][rays], found["range"][rays] = decide(segments, self.epsilon)
             blockers += blocks
             by_others |= blocks & ~own
-            for kind, margin in (("silhouette", silhouette), ("range", span)):
+            for kind, margin in found.items():
                 comes[kind] = np.where(blocks, comes[kind], np.minimum(comes[kind], margin))
                 goes[kind] = np.where(blocks, np.maximum(goes[kind], margin), goes[kind])
-            goes_any = np.where(blocks, np.maximum(goes_any, np.minimum(silhouette, span)), goes_any)
+            goes_any = np.where(blocks, np.maximum(goes_any, np.minimum(*found.values())), goes_any)
         margins = {
             kind: np.where(blockers == 0, comes[kind], np.where(blockers == 1, goes[kind], goes_any)) for kind in comes
         }
-        return blockers > 0, by_others, margins
+        return Sight(blockers > 0, by_others, margins)
 
-    def light_end(self, j: int, light: int) -> float:
-        """Margin of a light being inside or outside a sphere, |m| < 1."""
-        scaling = self.tables.scaling[:, j]
-        p, c = self.light[:, light], self.position[:, j]
-        m = (p - c) / scaling
-        moves = 2 * (m @ m + np.abs(m) @ ((np.abs(p) + np.abs(c)) / scaling))
-        return float(abs(m @ m - 1) / moves)
+
+@dataclass
+class Sight:
+    """A light seen from points."""
+
+    hides: Flags  # something hides it
+    by_others: Flags  # a sphere other than the point's own does
+    margins: dict[str, Real]
+
+
+class Segments:
+    """Lines from points to a light, and one sphere: o = (x - c) / s and d = (p - x) / s, light p and centre c."""
+
+    def __init__(
+        self, band: Band, sphere: int, light: int, origin: Real, direction: Real, beam: Beam, limit: Real
+    ) -> None:
+        """`limit`: margins above it do not count."""
+        self.sphere, self.beam, self.limit = sphere, beam, limit
+        self.origin, self.direction = origin, direction
+        self.on = bool(band.tables.light_on[sphere, light])
+        self.p, self.c = band.light[:, light : light + 1], band.position[:, sphere : sphere + 1]
+        self.s = band.tables.scaling[:, sphere : sphere + 1]
+
+    def margin(self, gap: Real, by_o: Real, by_d: Real, counts: Flags | None = None) -> Real:
+        """The margin of a decision on o and d, where it counts."""
+        scalings = -by_o * self.origin - by_d * self.direction
+        by_o, by_d = by_o / self.s, by_d / self.s
+        rounded = rounding(by_o, self.beam.reach + np.abs(self.c)) + rounding(by_d, self.beam.reach + np.abs(self.p))
+        of = Gradient(by_o - by_d, None, -by_o * self.c, scalings, dot(np.abs(by_d), np.abs(self.p)), rounded)
+        if counts is None:
+            return self.beam.margin(gap, of, self.sphere, self.limit)
+        return np.where(counts, self.beam.margin(gap, of, self.sphere, np.where(counts, self.limit, 0)), np.inf)
+
+    def of_other(self, epsilon: float) -> tuple[Flags, Real, Real]:
+        """Whether a sphere hides the light from points of other ones; the margins of the outline and of both ends."""
+        o, d = self.origin, self.direction
+        if self.on:
+            # The roots are 1, which does not hide, and, by their product, c / a.
+            a, c = dot(d, d), dot(o, o) - 1
+            ends = np.minimum(*(self.margin(c - end * a, 2 * o, -2 * end * d) for end in (epsilon, 1.0)))
+            return between(epsilon, c / a), np.full_like(ends, np.inf), ends
+        line = chord(o, d)
+        blocks = line.meets & (between(epsilon, line.near) | between(epsilon, line.far))
+        y, middle = o + epsilon * d, line.height / line.speed
+        starts_inside, (ends_inside, end) = dot(y, y) < 1, self.light_end()
+        # The start counts where the line leaves the sphere there, or leads to a light inside; ...
+        ends = self.margin((dot(y, y) - 1) / 2, y, epsilon * y, (dot(y, d) > 0) | ends_inside)
+        # ... the light's end where the line enters there, or starts inside.
+        ends = np.where((dot(o + d, d) < 0) | starts_inside, np.minimum(ends, end), ends)
+        # The outline counts between the two, with both outside.
+        over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
+        y = line.middle
+        outline = self.margin((dot(y, y) - 1) / 2, y, middle * y, over & ~starts_inside & (not ends_inside))
+        return blocks, outline, ends
+
+    def of_own(self, epsilon: float) -> tuple[Flags, Real, Real]:
+        """The same from points of the sphere's inside, which start from x in unit space."""
+        n, d = self.origin, self.direction
+        t, (_, end) = other_root(n, d), self.light_end()
+        # t > epsilon: -2 n.d - epsilon d.d
+        start = self.margin(-2 * dot(n, d) - epsilon * dot(d, d), -2 * d, -2 * (n + epsilon * d))
+        blocks = between(epsilon, t)
+        ends = np.where(blocks, np.minimum(start, end), np.where(t > epsilon, end, start))
+        return blocks, np.full_like(ends, np.inf), ends
+
+    def light_end(self) -> tuple[bool, float]:
+        """Whether the light is inside the sphere, and the margin of that."""
+        y, lengths = (self.p - self.c) / self.s, np.abs(self.p) + np.abs(self.c)
+        gap, g = (dot(y, y) - 1) / 2, y / self.s
+        moves = dot(np.abs(g), lengths) + dot(y, y) + rounding(g, lengths) / DECISION
+        return bool(gap[0] < 0), float(ratio(gap, moves)[0])
+
+
+def view_moves(view: View, direction: Real) -> Real:
+    """How far each component of primary directions moves with the numbers of the view."""
+    right = (direction[0] - view.left) / (view.right - view.left)
+    top = (direction[1] - view.bottom) / (view.top - view.bottom)
+    across = abs(view.left) * np.abs(1 - right) + abs(view.right) * np.abs(right)
+    down = abs(view.bottom) * np.abs(1 - top) + abs(view.top) * np.abs(top)
+    return np.stack([across, down, np.full(right.size, abs(view.near))])
 
 
 def outline(scene: Scene, j: int) -> float:

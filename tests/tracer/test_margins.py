@@ -10,8 +10,9 @@ import pytest
 import scene_zoo as zoo
 from agreement import all_passes, compare
 
-from tracer import Scene, View, motion, reference
+from tracer import Scene, View, reference
 from tracer.margins import EDGE_ROUNDINGS, VALUE_ROUNDINGS, analyse
+from tracer.motion import NEAR, Beam, Gradient
 from tracer.passes import MARGINS
 
 UNIT = 2.0**-24
@@ -93,14 +94,14 @@ def test_float32_is_where_it_is_allowed_to_be(name: str) -> None:
 
 
 def test_margins_are_not_much_below_what_it_takes() -> None:
-    # For the pixels next to an outline, some change of the numbers by 4 margins flips the decision.
+    # For the pixels next to an outline, some change of the numbers by 3 margins flips the decision.
     scene = zoo.scene([zoo.sphere((0.4, -0.3, -4), (1, 0.7, 1.2))], [])
     margin = analyse(scene).margins["silhouette"]
     ids = reference.render(scene, ("id",))["id"]
     near = np.argwhere(margin < 3e-3)
     assert len(near) >= 20
     for row, column in near:
-        delta = 4 * margin[row, column]
+        delta = 3 * margin[row, column]
         flips = False
         for x, y, s in itertools.product((-1, 1), repeat=3):
             sphere = scene.spheres[0]
@@ -115,7 +116,7 @@ def test_margins_are_not_much_below_what_it_takes() -> None:
             )
             image = reference.render(scene.replace(spheres=[moved], view=frustum), ("id",))
             flips |= image["id"][row, column] != ids[row, column]
-        assert flips, f"nothing happens at ({column}, {row}) within 4 times its margin {margin[row, column]:.2e}"
+        assert flips, f"nothing happens at ({column}, {row}) within 3 times its margin {margin[row, column]:.2e}"
 
 
 def test_sensitivities_are_not_much_above_what_happens() -> None:
@@ -166,7 +167,7 @@ def axis(spheres: list, lights: list, **edges: float) -> dict[str, float]:
 def test_each_kind_sees_its_decision(gap: float) -> None:
     def about(margin: float) -> bool:
         # These rays reach 3 to 10 units far, and each unit of the way moves with its numbers.
-        return gap / 300 <= margin <= gap
+        return gap / 60 <= margin <= gap
 
     plain = axis([zoo.sphere((0, 0, -4), kr=0)], [])
     assert plain["silhouette"] > 0.05
@@ -235,97 +236,22 @@ def test_a_light_at_the_surface_that_the_eye_is_inside() -> None:
     # Just outside it is hidden, just inside it shines: its range margin is its distance, on either side.
     for gap in (1e-4, -1e-4, 1e-7):
         margin = axis([zoo.sphere((0, 0, 0), 5, kr=0)], [zoo.light(3 * (1 + gap), 4 * (1 + gap), 0)])["range"]
-        assert abs(gap) / 300 <= margin <= abs(gap)
+        assert abs(gap) / 60 <= margin <= abs(gap)
     assert axis([zoo.sphere((0, 0, 0), 5, kr=0)], [zoo.light(3, 4, 0)])["range"] > 1e-4
 
 
-def chain(scene: Scene, count: int) -> tuple[reference.Rays, list[tuple[reference.Rays, reference.Surface]]]:
-    """The rays of a scene that hit something `count` times, and each bounce of theirs."""
-    tables = reference.Tables(scene, np.float64)
-    rays = reference.eye_rays(tables, scene.view, "corner", range(scene.view.rows))
-    pixels = [at.x.pixel for _, _, at in reference.trace(tables, rays, count - 1)][-1]
-    return rays[pixels], bounces(scene, rays[pixels], count)
+@pytest.mark.parametrize("name", ["mutual", "eye-inside", "crossing", "n-half", "light-on-surface", "wild-3"])
+def test_decisions_that_are_passed_over_change_no_small_margin(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = analyse(SCENES[name])
 
+    def useless(_: Beam, of: Gradient) -> reference.Real:
+        return np.full_like(of.rest, np.inf)
 
-def bounces(scene: Scene, rays: reference.Rays, count: int) -> list[tuple[reference.Rays, reference.Surface]]:
-    """Each bounce of rays that all go on."""
-    tables = reference.Tables(scene, np.float64)
-    return [(bounce, at) for bounce, _, at in reference.trace(tables, rays, count - 1)]
-
-
-def places(scene: Scene, steps: list[tuple[reference.Rays, reference.Surface]]) -> list[motion.Place]:
-    """The mirrors on the way."""
-    scaling = np.abs(np.array([s.scaling for s in scene.spheres]).T)
-    position = np.array([s.position for s in scene.spheres]).T
-    return [
-        motion.place(at.t, rays.direction, at.x.point, scaling[:, at.x.start], position[:, at.x.start])
-        for rays, at in steps
-    ]
-
-
-def ends(scene: Scene, steps: list[tuple[reference.Rays, reference.Surface]]) -> tuple[reference.Real, reference.Real]:
-    """Where the last mirror sends the rays on, in the world, and their directions."""
-    position = np.array([s.position for s in scene.spheres]).T
-    _, at = steps[-1]
-    return position[:, at.x.start] + at.x.offset, at.x.direction
-
-
-MIRRORS = zoo.scene(
-    [
-        zoo.sphere((-1.1, 0, -4), (1, 1.5, 0.8), kr=1),
-        zoo.sphere((1.2, 0, -4), (1.1, 0.9, 1.3), kr=1),
-        zoo.sphere((0, 0, -2), 9),
-    ],
-    [],
-)
-
-
-def test_mirrors_carry_errors_as_their_derivative_says() -> None:
-    # Three columns of the derivative by the eye's direction, by differences, through three mirrors; J J^T of them.
-    rays, steps = chain(MIRRORS, 3)
-    assert rays.pixel.size > 1000
-    step = 1e-6
-    columns = []
-    for k in range(3):
-        sides = []
-        for sign in (1, -1):
-            bent = rays[np.arange(rays.pixel.size)]
-            bent.direction = bent.direction.copy()
-            bent.direction[k] += sign * step
-            sides.append(np.concatenate(ends(MIRRORS, bounces(MIRRORS, bent, 3))))
-        columns.append((sides[0] - sides[1]) / (2 * step))
-    derivative = np.stack(columns, axis=1)
-    truth = np.einsum("ikn,jkn->ijn", derivative, derivative)
-
-    beam: motion.Pencil | motion.Ellipsoid = motion.Pencil(np.ones(rays.pixel.size))
-    for place in places(MIRRORS, steps):
-        beam = motion.carry(beam, place)
-    starts, mixed, directions = beam.blocks()
-    found = np.concatenate(
-        [np.concatenate([starts, mixed], axis=1), np.concatenate([mixed.transpose(1, 0, 2), directions], axis=1)]
-    )
-    # Rays near an outline bend too much for differences: the clear nine tenths have to agree.
-    error = np.abs(found - truth).max(axis=(0, 1)) / np.abs(truth).max(axis=(0, 1))
-    assert np.quantile(error, 0.9) < 1e-4
-
-
-def test_mirrors_add_what_their_numbers_change() -> None:
-    # Change the numbers of the first mirror only: what comes out moves within what the mirror adds, and not far below.
-    rays, steps = chain(MIRRORS, 1)
-    added = motion.add(places(MIRRORS, steps)[0])
-    before = ends(MIRRORS, steps)
-    random = np.random.default_rng(3)
-    delta, used = 1e-8, [0.0, 0.0]
-    for _ in range(20):
-        changed = shaken(MIRRORS, delta, random).replace(view=MIRRORS.view)
-        after = ends(changed, bounces(changed, rays, 1))
-        for end, block in enumerate((added.starts, added.directions)):
-            moved = np.sqrt(((after[end] - before[end]) ** 2).sum(axis=0)) / delta
-            share = moved / np.sqrt(motion.trace_of(block))
-            used[end] = max(used[end], float(np.quantile(share, 0.99)))
-            # Next to outlines the first order is not enough.
-            assert np.quantile(share, 0.999) <= 1.05
-    assert min(used) > 0.1
+    monkeypatch.setattr(Beam, "bound", useless)
+    slow = analyse(SCENES[name])
+    for kind in MARGINS:
+        small = np.minimum(quick.margins[kind], slow.margins[kind]) < NEAR
+        assert np.allclose(quick.margins[kind][small], slow.margins[kind][small], rtol=1e-12)
 
 
 def test_lit_is_where_the_light_is_on_the_seen_side() -> None:

@@ -249,23 +249,23 @@ def test_oblique_ellipsoids_are_less_certain_in_float32_only() -> None:
     plate = scene([sphere((0, -1.5, -10), 6, 0.3, 6)], [])
     ball = scene([sphere((0, -1.5, -10), 2)], [])
     llvm, scalar = (np.max(MitsubaSpec(name).uncertainty(plate, Settings()).silhouette) for name in ("llvm", "scalar"))
-    assert scalar == 29 * UNIT_ROUNDOFF
-    assert llvm > 2 * scalar
+    assert scalar == 64 * UNIT_ROUNDOFF
+    assert llvm > 1.5 * scalar
     for name in ("llvm", "scalar"):
         certain = MitsubaSpec(name).uncertainty(ball, Settings())
-        assert certain.silhouette == 21 * UNIT_ROUNDOFF
-        assert certain.range == 21 * UNIT_ROUNDOFF + SLACK
+        assert certain.silhouette == 32 * UNIT_ROUNDOFF
+        assert certain.range == 32 * UNIT_ROUNDOFF + SLACK
 
 
 def test_flat_rays_inside_a_sphere_are_uncertain(renderer: MitsubaSpec) -> None:
     """A light just outside the shell that the eye is in: near it, rays to it run along the shell, short chords."""
     shell = scene([sphere((0, 0, 0), 5)], [light(0.1, 0.05, -5.0001)], view(64, 64, half=0.1))
     uncertain = renderer.uncertainty(shell, Settings())
-    assert uncertain.silhouette == 21 * UNIT_ROUNDOFF
-    assert uncertain.unit == pytest.approx(np.full((64, 64), 21 * UNIT_ROUNDOFF))
+    assert uncertain.silhouette == 32 * UNIT_ROUNDOFF
+    assert uncertain.unit == pytest.approx(np.full((64, 64), 8 * 2**0.5 * UNIT_ROUNDOFF))
     doubtful = np.asarray(uncertain.terminator) == 1
     assert 0 < doubtful.sum() < 100
-    assert np.all(np.asarray(uncertain.terminator)[~doubtful] == 21 * UNIT_ROUNDOFF)
+    assert np.all(np.asarray(uncertain.terminator)[~doubtful] == 32 * UNIT_ROUNDOFF)
     agree(renderer, shell)
 
 
@@ -273,11 +273,12 @@ def test_errors_grow_where_mirrors_are_flat_inside() -> None:
     """From bounce to bounce along the inside of a shell the chords stay as short as the first."""
     shell = scene([sphere((0, 0, 0), 5, kr=1)], [], view(16, 16, near=4.9, half=0.9))
     unit = np.asarray(MitsubaSpec("scalar").uncertainty(shell, Settings()).unit) / UNIT_ROUNDOFF
-    assert unit.min() >= 21
-    assert unit.max() == pytest.approx(21, rel=0.01)
+    # Three mirrors: four roots, each of which keeps half of its discriminant.
+    assert unit.min() >= 0.999 * 32
+    assert unit.max() == pytest.approx(32, rel=0.01)
     off = scene([sphere((0, 4, 0), 5, kr=1)], [], view(16, 16, near=0.5, half=4))
     unit = np.asarray(MitsubaSpec("scalar").uncertainty(off, Settings()).unit) / UNIT_ROUNDOFF
-    assert unit.max() > 25
+    assert unit.max() > 1.2 * 32
 
 
 class Fake:
