@@ -151,7 +151,7 @@ class Court:
         for rule in self._mistakes:
             because = f"truth makes this pixel if it {rule.says}"
             made = [_Possible("mistake", because, pixel.made(prover)) for prover in self.following(rule, x, y)]
-            for possible in pixel.makers(made):
+            for possible in pixel.makers(made, within=CLEARLY**2, sensitivities=1):
                 if not self.refuted(rule, pixel):
                     # Of several that make a pixel the one that made the last.
                     self._mistakes.remove(rule)
@@ -169,7 +169,7 @@ class Court:
                 because = f"nothing explains it: to decide so takes {takes}, and it {_may(claim)}"
                 made = pixel.made(self.prover.forcing({flip.key: _touching(flip)}))
                 found.append(_Possible("unexplained", because, made, None, flip, flip.kind))
-        yield from pixel.makers(found)
+        yield from pixel.makers(found, sensitivities=4)
 
     def refuted(self, rule: Rule, pixel: _Pixel) -> bool:
         """Whether a renderer is right where that mistake would show: then it does not make it.
@@ -447,11 +447,19 @@ class _Pixel:
         """The same pixel of changed truth."""
         return _Made(prover, self.truth.x, self.truth.y)
 
-    def makers(self, possible: Sequence[_Possible]) -> Iterator[_Possible]:
-        """Of several those that make this pixel, the nearest first."""
+    def makers(
+        self, possible: Sequence[_Possible], *, within: float = math.inf, sensitivities: int | None = None
+    ) -> Iterator[_Possible]:
+        """Of several those that make this pixel, the nearest first.
+
+        `within`: in rough tolerances, what is no more worth a look; `sensitivities`: how many may be worked out, where
+        that is not what is left.
+        """
+        if sensitivities is not None:
+            self.left = sensitivities
         scores = [(self.score(entry.made), entry) for entry in possible]
         for score, entry in sorted(scores, key=lambda each: each[0]):
-            if score < math.inf and not self.idle(entry) and self.made_by(entry.made):
+            if score < math.inf and score <= within and not self.idle(entry) and self.made_by(entry.made):
                 yield entry
 
     def idle(self, possible: _Possible) -> bool:

@@ -10,9 +10,21 @@ import doubles
 import numpy as np
 import pytest
 from doubles import Arrays, Double, with_arrays, with_patch, with_scene, with_settings
+from planted import (
+    beyond_the_light,
+    blinn,
+    clamped,
+    near_plane_everywhere,
+    never_flipped,
+    no_near_plane,
+    no_own_shadow,
+    no_shadows,
+    squared,
+    unchanged,
+    wrong_normals,
+)
 
 import tracer
-from tracer import reference
 from tracer.passes import Passes
 from validation import Settings, Validation, validate
 from validation.renderers.native import Native
@@ -25,7 +37,7 @@ SHADOWS = {"shadow.L0", "shadow.L1"}
 
 def failing(draw: Callable[..., Passes], scene: tracer.Scene, settings: Settings | None = None) -> set[str]:
     """The passes in which a renderer that draws so differs from the native one."""
-    result = validate({"scene": scene}, Double(draw=draw), "native-f64", settings=settings)
+    result = validate({"scene": scene}, Double(draw=draw), "native-f64", settings=settings, verdicts=0)
     assert not result.failures
     assert not result.notes
     compared = {comparison.pass_name for comparison in result.comparisons}
@@ -33,90 +45,7 @@ def failing(draw: Callable[..., Passes], scene: tracer.Scene, settings: Settings
     return {comparison.pass_name for comparison in result.comparisons if not comparison.ok}
 
 
-# What the defects do. `original` is the function of the reference that each replaces.
-
-
-def unchanged(original: Any, *arguments: Any, **options: Any) -> Any:
-    """No defect: what holds a patch together does no harm of its own."""
-    return original(*arguments, **options)
-
-
-def wrong_normals(original: Any, tables: Any, rays: Any, hits: Any) -> Any:
-    """The outward gradient is divided by s once, not twice: right for spheres, wrong for ellipsoids."""
-    at = original(tables, rays, hits)
-    outward, _ = reference.unit(hits.point)
-    return turned(at, rays, np.where(hits.inside, -outward, outward))
-
-
-def never_flipped(original: Any, tables: Any, rays: Any, hits: Any) -> Any:
-    """The inside of a sphere keeps the outward normal."""
-    at = original(tables, rays, hits)
-    return turned(at, rays, np.where(hits.inside, -at.normal, at.normal))
-
-
-def turned(at: Any, rays: Any, normal: Any) -> Any:
-    """A surface with another normal, and the reflected rays that follow from it."""
-    reflected = rays.direction - 2 * reference.dot(rays.direction, normal) * normal
-    return dataclasses.replace(at, normal=normal, x=dataclasses.replace(at.x, direction=reflected))
-
-
-def blinn(original: Any, tables: Any, at: Any, light: int) -> Any:
-    """N.H in the place of R.V."""
-    seen = original(tables, at, light)
-    H, _ = reference.unit(seen.L + at.viewer)
-    return dataclasses.replace(seen, RV=reference.dot(at.normal, H))
-
-
-def clamped(original: Any, tables: Any, at: Any, epsilon: float, *, every_shadow: bool) -> Any:
-    """What a mirror shows is clamped to 1 before Kr."""
-    ambient, diffuse, specular, shadows = original(tables, at, epsilon, every_shadow=every_shadow)
-    if not every_shadow:
-        excess = np.maximum(ambient + diffuse + specular - 1, 0)
-        ambient = ambient - excess
-    return ambient, diffuse, specular, shadows
-
-
-def squared(original: Any, tables: Any, at: Any, epsilon: float, *, every_shadow: bool) -> Any:
-    """Light falls off with the square of the distance."""
-    ambient, diffuse, specular, shadows = original(tables, at, epsilon, every_shadow=every_shadow)
-    fall = np.sum([reference.dot(v, v) for v in (reference.incidence(tables, at, 0).to_light,)], axis=0)
-    return ambient, diffuse * 25 / fall, specular, shadows
-
-
-def no_near_plane(original: Any, tables: Any, rays: Any, after: float) -> Any:
-    """Primary hits from t > 0 on."""
-    del after
-    return original(tables, rays, 0)
-
-
-def near_plane_everywhere(original: Any, tables: Any, rays: Any, after: float) -> Any:
-    """The near plane, t > 1, limits reflected rays too."""
-    del after
-    return original(tables, rays, 1)
-
-
-def no_shadows(original: Any, tables: Any, x: Any, *_: Any) -> Any:
-    """Every light reaches every point."""
-    del original, tables
-    return np.zeros(x.start.size, bool)
-
-
-def no_own_shadow(original: Any, tables: Any, x: Any, to_light: Any, light: int, epsilon: float) -> Any:
-    """A sphere casts no shadow on itself: the inside of a closed one is lit from outside."""
-    found = np.zeros(x.start.size, bool)
-    every = tables.distinct
-    try:
-        for j in every:
-            tables.distinct = (j,)
-            found |= (x.start != j) & original(tables, x, to_light, light, epsilon)
-    finally:
-        tables.distinct = every
-    return found
-
-
-def beyond_the_light(original: Any, tables: Any, x: Any, to_light: Any, light: int, epsilon: float) -> Any:
-    """What stands behind a light hides it as well: t runs on to 2."""
-    return original(tables, x, 2 * to_light, light, epsilon / 2)
+# What the defects do that are not among `planted`.
 
 
 def swapped_lights(scene: tracer.Scene) -> tracer.Scene:
@@ -264,7 +193,7 @@ DEFECTS = {
     "one bounce too few": Defect(with_settings(max_reflections=2), {"reflection.3", "reflection", "beauty"}),
     "bounces clamped": Defect(with_patch(illuminate=clamped), {"beauty"} | REFLECTED),
     "Blinn": Defect(with_patch(incidence=blinn), {"specular", "direct", "beauty"} | REFLECTED),
-    "falloff": Defect(with_patch(illuminate=squared), {"diffuse", "direct", "beauty"} | REFLECTED),
+    "falloff": Defect(with_patch(illuminate=squared), {"beauty"} | LIT | REFLECTED),
     "lights swapped": Defect(with_scene(swapped_lights), SHADOWS),
     "no near plane": Defect(
         with_patch(nearest=no_near_plane), {"depth", "position", "normal", "beauty"} | LIT, doubles.cut
@@ -319,7 +248,8 @@ def test_without_a_defect_all_agree(scene: Callable[[], tracer.Scene], draw: Cal
 def test_the_worst_pixel_is_the_planted_one() -> None:
     every = Native("f64").passes(doubles.full(), Settings())
     place = interior(dict(doubles.faithful(doubles.full(), every, Settings())))
-    result = validate({"scene": doubles.full()}, Double(draw=with_arrays(one_pixel)), "native-f64", passes=["beauty"])
+    double = Double(draw=with_arrays(one_pixel))
+    result = validate({"scene": doubles.full()}, double, "native-f64", passes=["beauty"], verdicts=0)
     (comparison,) = result.comparisons
     assert comparison.interior_over == 1
     assert comparison.worst is not None
@@ -341,7 +271,8 @@ def test_a_renderer_that_excuses_every_pixel_is_found_out() -> None:
     for kind in ("silhouette", "range", "order", "terminator"):
         generous = dataclasses.replace(honest, **{kind: 0.5})
         double = Double(draw=with_scene(nudged), claim=generous)
-        result: Validation = validate({"scene": doubles.full()}, double, "native-f64", passes=["diffuse"])
+        scenes = {"scene": doubles.full()}
+        result: Validation = validate(scenes, double, "native-f64", passes=["diffuse"], verdicts=0)
         (comparison,) = result.comparisons
         assert not comparison.ok
         if kind != "order":  # here two hits are hardly ever near each other: the claim excuses next to nothing
