@@ -20,9 +20,9 @@ DECISION, VALUE = 16, 8
 POINT, EQUATION, SQUARES, MIRROR = 8, 4, 4, 38
 # Above this nothing is near, and first order says little: margins may be lower bounds of themselves.
 NEAR = 1 / 256
-# Columns: the primary ray's direction; then for each hit the position and the scaling of its sphere, the rounding of t,
-# of the hit point, and of the mirrored direction.
-FIRST, NUMBERS, EACH = 3, 6, 13
+# Columns: the primary ray's direction; for each hit what is rounded there: t, the point and the mirrored direction; for
+# each sphere that was met its position and its scaling.
+FIRST, ROUNDED, NUMBERS = 3, 7, 6
 
 Columns = Real  # (columns, rays)
 Vectors = Real  # (columns, 3, rays)
@@ -85,17 +85,22 @@ class Beam:
     """Rays and their derivatives."""
 
     def __init__(
-        self, view: Real, length: Real, starts: Vectors, directions: Vectors, met: list[Index], reach: Real
+        self, view: Real, length: Real, starts: Vectors, directions: Vectors, hits: int, met: list[Index], reach: Real
     ) -> None:
-        """`met`: by hit the sphere whose numbers have the columns there, -1 where an earlier hit has them already."""
+        """`met`: by place among the columns the sphere that each ray has there, -1: none."""
         self.view = view  # how far each component of the primary direction moves with the numbers of the view
         self.length = length  # of the primary direction
-        self.met = met
+        self.hits, self.met = hits, met
         self.reach = reach  # by component: the lengths that the starts are made of
         self._starts, self._directions = starts, directions
         self._rays: Index | None = None  # which of these are meant; None: all
         self.start_moves = np.stack([self.size(starts[:, k], DECISION) for k in range(3)])
         self.direction_moves = np.stack([self.size(directions[:, k], DECISION) for k in range(3)])
+
+    @property
+    def numbers(self) -> int:
+        """Where the columns of the spheres' numbers begin."""
+        return FIRST + ROUNDED * self.hits
 
     def __getitem__(self, some: Index) -> Beam:
         """Some of the rays; their derivatives are not copied before they are used."""
@@ -104,7 +109,7 @@ class Beam:
         part._rays = some if self._rays is None else self._rays[some]
         part.view, part.length, part.reach = self.view[:, some], self.length[some], self.reach[:, some]
         part.start_moves, part.direction_moves = self.start_moves[:, some], self.direction_moves[:, some]
-        part.met = [sphere[some] for sphere in self.met]
+        part.hits, part.met = self.hits, [sphere[some] for sphere in self.met]
         return part
 
     @property
@@ -117,19 +122,18 @@ class Beam:
         """The derivatives of the directions."""
         return self._directions if self._rays is None else np.take(self._directions, self._rays, axis=-1)
 
-    def slot(self, sphere: Index | int) -> Index:
-        """Which hit has the columns of a sphere; -1: none."""
+    def columns_of(self, sphere: Index | int) -> Index:
+        """Where the columns of a sphere's numbers begin; -1: it has none."""
         found = np.full(self.length.size, -1)
-        for hit, met in enumerate(self.met):
-            found[met == sphere] = hit
+        for place, met in enumerate(self.met):
+            found[met == sphere] = self.numbers + NUMBERS * place
         return found
 
     def size(self, columns: Columns, roundings: float) -> Real:
         """The motion that columns amount to. The primary ray turns anywhere within a ball."""
         total: Real = norm(columns[:FIRST]) * self.length + dot(np.abs(columns[:FIRST]), self.view)
-        for at in range(FIRST, columns.shape[0], EACH):
-            hit = np.abs(columns[at : at + EACH])
-            total += hit[:NUMBERS].sum(axis=0) + hit[NUMBERS:].sum(axis=0) / roundings
+        total += np.abs(columns[FIRST : self.numbers]).sum(axis=0) / roundings
+        total += np.abs(columns[self.numbers :]).sum(axis=0)
         return total
 
     def motion(self, of: Gradient, sphere: Index | int, roundings: float) -> Real:
@@ -137,10 +141,10 @@ class Beam:
         columns = along(self.starts, of.start)
         if of.direction is not None:
             columns += along(self.directions, of.direction)
-        slot = self.slot(sphere)
-        add(columns, slot, of.position, of.scaling)
+        at = self.columns_of(sphere)
+        add(columns, at, of.position, of.scaling)
         moves = self.size(columns, roundings) + of.rest + of.rounded / roundings
-        return moves + np.where(slot < 0, of.own(), 0)
+        return moves + np.where(at < 0, of.own(), 0)
 
     def bound(self, of: Gradient) -> Real:
         """No less than `motion`, for decisions, and quicker."""
@@ -159,22 +163,22 @@ class Beam:
         return found
 
 
-def add(columns: Columns, slot: Index, position: Real, scaling: Real) -> None:
+def add(columns: Columns, at: Index, position: Real, scaling: Real) -> None:
     """Add the derivatives by a sphere's own numbers, where it has columns."""
-    rays = np.flatnonzero(slot >= 0)
+    rays = np.flatnonzero(at >= 0)
     if not rays.size:
         return
-    at = FIRST + EACH * slot[rays]
+    place = at[rays]
     for k in range(3):
-        columns[at + k, rays] += position[k, rays]
-        columns[at + 3 + k, rays] += scaling[k, rays]
+        columns[place + k, rays] += position[k, rays]
+        columns[place + 3 + k, rays] += scaling[k, rays]
 
 
 def primary(view: Real, direction: Real) -> Beam:
     """The rays from the eye, which is where it is."""
     count = direction.shape[1]
     axes = np.repeat(np.eye(3)[:, :, None], count, axis=2)
-    return Beam(view, norm(direction), np.zeros((3, 3, count)), axes, [], np.zeros((3, count)))
+    return Beam(view, norm(direction), np.zeros((3, 3, count)), axes, 0, [], np.zeros((3, count)))
 
 
 def rounding(gradient: Real, lengths: Real) -> Real:
@@ -194,37 +198,54 @@ def carry(beam: Beam, rays: Rays, at: Surface, shape: Shape) -> Beam:
     own = np.flatnonzero(rays.start == i)
     if own.size:
         # The other root of a ray that starts on the same sphere, -2 n.d / d.d there.
-        before, local = rays.point[:, own], (d / s)[:, own]
+        start, local = rays.point[:, own], (d / s)[:, own]
         squared = dot(local, local)
         by_n, by_d = -2 * local / squared, -2 * n[:, own] / squared
         by_start[:, own], by_direction[:, own] = by_n / s[:, own], by_d / s[:, own]
-        by_scaling[:, own] = -by_n * before - by_d * local
-        rounded[own] = EQUATION * (dot(np.abs(by_n), np.abs(before)) + dot(np.abs(by_d), np.abs(local)))
+        by_scaling[:, own] = -by_n * start - by_d * local
+        rounded[own] = EQUATION * (dot(np.abs(by_n), np.abs(start)) + dot(np.abs(by_d), np.abs(local)))
 
-    arriving = beam.directions
-    width, count = arriving.shape[0], i.size
-    slot = beam.slot(i)
-    slot = np.where(slot < 0, len(beam.met), slot)
-    met = [*beam.met, np.where(slot < len(beam.met), -1, i)]
-    starts, directions = np.zeros((2, width + EACH, 3, count))
-    back = np.zeros((width + EACH, count))
-    back[:width] = along(beam.starts, by_start) + along(arriving, by_direction)
-    back[width + NUMBERS] = rounded
-    add(back, slot, -by_start * p, by_scaling)
-    np.multiply(arriving, t, out=starts[:width])
-    starts[:width] += beam.starts
-    directions[:width] = arriving
+    # New columns for what is rounded here, and for the spheres that are met for the first time.
+    hits, before, (met, place) = beam.hits + 1, beam.numbers, meet(beam.met, i)
+    after = before + ROUNDED
+    starts, directions = np.zeros((2, after + NUMBERS * len(met), 3, i.size))
+    back = np.zeros(starts[:, 0].shape)
+    for old, new in (
+        (slice(before), slice(before)),
+        (slice(before, None), slice(after, after + NUMBERS * len(beam.met))),
+    ):
+        directions[new] = beam.directions[old]
+        starts[new] = beam.starts[old]
+        back[new] = along(starts[new], by_start) + along(directions[new], by_direction)
+        starts[new] += t * directions[new]
+    back[before] = rounded
+    add(back, after + NUMBERS * place, -by_start * p, by_scaling)
     for k in range(3):
         starts[:, k] += back * d[k]
-        starts[width + NUMBERS + 1 + k, k] = POINT * lengths[k]
-    return Beam(beam.view, beam.length, starts, directions, met, np.abs(at.x.offset + p) + np.abs(p))
+        starts[before + 1 + k, k] = POINT * lengths[k]
+    return Beam(beam.view, beam.length, starts, directions, hits, met, np.abs(at.x.offset + p) + np.abs(p))
+
+
+def meet(met: list[Index], sphere: Index) -> tuple[list[Index], Index]:
+    """The places of spheres among those that rays have met, with new ones, and where each ray has its sphere now."""
+    place = np.full(sphere.size, -1)
+    for at, found in enumerate(met):
+        place[found == sphere] = at
+    new = np.flatnonzero(place < 0)
+    place[new] = sum((found[new] >= 0 for found in met), np.zeros(new.size, int))
+    places = [found.copy() for found in met]
+    places += [np.full(sphere.size, -1) for _ in range(int(place.max(initial=-1)) + 1 - len(met))]
+    for at, found in enumerate(places):
+        some = new[place[new] == at]
+        found[some] = sphere[some]
+    return places, place
 
 
 def turned(beam: Beam, shape: Shape, sphere: Index) -> Vectors:
     """The derivatives of the outward normal at hits."""
     g, s = shape.gradient, shape.scaling
     bent = beam.starts / (s * s * shape.steep)
-    at, rays = FIRST + EACH * beam.slot(sphere), np.arange(sphere.size)
+    at, rays = beam.columns_of(sphere), np.arange(sphere.size)
     for k in range(3):
         bent[at + k, k, rays] -= shape.position[k] / (s[k] * s[k] * shape.steep)
         bent[at + 3 + k, k, rays] -= 2 * g[k] / shape.steep
@@ -244,5 +265,5 @@ def mirrored(beam: Beam, shape: Shape, normals: Vectors, direction: Real, reflec
     directions = directions - (2 * dot(direction, normal)) * normals
     for k in range(3):
         directions[:, k] -= moved * normal[k]
-        directions[k - 3, k] += rounded[k]
-    return Beam(beam.view, beam.length, beam.starts, directions, beam.met, beam.reach)
+        directions[beam.numbers - 3 + k, k] += rounded[k]
+    return Beam(beam.view, beam.length, beam.starts, directions, beam.hits, beam.met, beam.reach)
