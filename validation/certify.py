@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from flint import arb
+from flint import arb, ctx
 from numpy.typing import NDArray
 
 import tracer.margins
@@ -33,7 +33,7 @@ from validation.run import (
     versions,
 )
 from validation.terminal import colorful, console, number
-from validation.truth import UnprovedError
+from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
     from tracer import Light, Scene
@@ -132,7 +132,8 @@ def prove_scene(
 def _faces(truth: Truth, light: Light) -> bool:
     """Whether N.L > 0 where a pixel's ray hits; where it is 0, and its ball holds 0, it is not."""
     terms = zip(truth.values["normal"], truth.values["position"], light.position, strict=True)
-    return bool(sum((n.arb() * (arb(p) - x.arb()) for n, x, p in terms), arb(0)) > 0)
+    with ctx.workprec(4 * BITS):
+        return bool(sum((n.arb() * (arb(p) - x.arb()) for n, x, p in terms), arb(0)) > 0)
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ class Court:
             for prover in self.following(rule, x, y)
         ]
         yield from pixel.makers(ways)
-        ties = [tie.key for tie in pixel.truth.ties if not tie.settled]
+        ties = [tie.key for tie in pixel.truth.ties if not tie.settled and tie.proved]
         even = "an exact tie that the specification does not settle"
         yield from pixel.makers(
             [_Possible("tie", even, pixel.made(self.prover.forcing({key: sign}))) for key in ties for sign in (-1, 1)]
@@ -148,7 +148,7 @@ class Court:
         yield from self.roundings(pixel, self.prover)
         for way in pixel.promising(ways):
             yield from self.roundings(pixel, way.made.prover, f"; {way.because}")
-        for rule in self._mistakes:
+        for rule in tuple(self._mistakes):
             because = f"truth makes this pixel if it {rule.says}"
             made = [_Possible("mistake", because, pixel.made(prover)) for prover in self.following(rule, x, y)]
             for possible in pixel.makers(made, within=CLEARLY**2, sensitivities=1):
@@ -246,7 +246,10 @@ class Court:
                 continue
             because = f"{possible.because}, with {flip.kind} of margin {flip.margin:.2g} decided the other way"
             made = pixel.made(prover.forcing({flip.key: _touching(flip)}))
-            change = max(possible.change or 0.0, flip.margin)
+            # All of it together has to be within the claim.
+            change = (possible.change or 0.0) + flip.margin
+            if change > min(claims.values()):
+                continue
             found.append(replace(possible, because=because, made=made, change=change, flip=possible.flip or flip))
         return found
 
@@ -390,7 +393,7 @@ class _Pixel:
         x, y = truth.x, truth.y
         self.values: dict[str, list[float]] = {}
         drawn = [name for name in ("id",) if name in side.passes and name not in compared]
-        hit = truth.id >= 0 and ("id" not in side.passes or int(side.passes["id"][y, x]) >= 0)
+        hit = truth.id >= 0 and ("id" not in side.passes or bool(side.passes["id"][y, x] >= 0))
         for name in (*drawn, *compared):
             row = lookup(name)
             if row.quantity in ("length", "position", "normal", "visibility") and not hit:

@@ -53,7 +53,7 @@ class Tower:
 
     def sqrt(self, square: Element) -> Element:
         """The root of an element that is not negative."""
-        if _is_zero(square):
+        if sign(square) == 0:
             return fmpq(0)
         if isinstance(square, fmpq):
             p, q = square.p, square.q
@@ -226,7 +226,10 @@ class Lazy:
         """
         if self.element is None:
             assert self.how is not None
-            self.element = self.how(*(number.exact() for number in self.of))
+            try:
+                self.element = self.how(*(number.exact() for number in self.of))
+            except RecursionError:
+                raise TooLargeError from None
         return self.element
 
     def sign(self) -> int:

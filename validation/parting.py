@@ -97,6 +97,9 @@ def _hit(scene: Scene, a: Hit | None, b: Hit | None, after: str) -> tuple[str, s
         side, right = ("inside", "outside") if b.inside else ("outside", "inside")
         clause = f"hits the {side} of {name}{after}"
         return f"{clause} {their}, not its {right} {at}", clause
+    if middle(b.t) == middle(a.t):
+        clause = f"takes {theirs}, not {name}, of equal hits{after}"
+        return f"{clause} {at}", clause
     if middle(b.t) < middle(a.t):
         return f"hits {theirs}{after} {their}, before {name} {at}", f"hits {theirs}{after} before {name}"
     clause = f"misses {name}{after}"
@@ -110,7 +113,7 @@ def _light(
     scene, after = truth.scene, reflections(hit.bounce)
     light = f"light {light_name(scene, sight.light)}"
     if (sight.faces > 0) != (seen.faces > 0):
-        clause = f"{'lets' if seen.faces > 0 else 'does not let'} {light} reach a surface it grazes{after}"
+        clause = f"takes {light} to be {'before' if seen.faces > 0 else 'behind'} the surface{after}"
         return clause, clause, hit.sphere, None
     if sight.asked and seen.asked and bool(sight.blockers) != bool(seen.blockers):
         if sight.blockers:
@@ -123,7 +126,8 @@ def _light(
             t = _between(other, their, sight.light, sphere)
         return clause + ("" if t is None else f" at t = {t:.7g}"), clause, sphere, t
     if (sight.specular is None) != (seen.specular is None):
-        clause = f"{'adds a' if seen.specular is not None else 'leaves out the'} highlight of {light} at R.V = 0{after}"
+        more, sign = ("adds a", "<=") if seen.specular is not None else ("leaves out the", ">")
+        clause = f"{more} highlight of {light} where R.V {sign} 0{after}"
         return clause, clause, hit.sphere, None
     return None
 
@@ -135,7 +139,7 @@ def _between(prover: Prover, hit: Hit, light: int, sphere: int) -> float | None:
     if sphere == hit.sphere:
         roots = [root for root in roots if root != 0]  # where it starts
     inside = [root for root in roots if epsilon < root < 1]
-    return min(inside or roots, key=lambda root: abs(root - 0.5), default=None)
+    return min(inside) if inside else min(roots, key=lambda root: abs(root - 0.5), default=None)
 
 
 def middle(value: Any) -> float:

@@ -130,6 +130,24 @@ class _FadingHighlight(Follower):
             sight.specular = x, y, z
 
 
+class _NoAmbient(Follower):
+    def illuminate(self, hit: Hit, relative: list[Any]) -> None:
+        super().illuminate(hit, relative)
+        hit.ambient = (0, 0, 0)
+
+
+class _NoDiffuse(Follower):
+    def shade(self, hit: Hit, sight: Sight, to_light: Vector, gl: Any) -> None:
+        super().shade(hit, sight, to_light, gl)
+        sight.diffuse = None
+
+
+class _NoHighlight(Follower):
+    def shade(self, hit: Hit, sight: Sight, to_light: Vector, gl: Any) -> None:
+        super().shade(hit, sight, to_light, gl)
+        sight.specular = None
+
+
 class _Falloff(Follower):
     def shade(self, hit: Hit, sight: Sight, to_light: Vector, gl: Any) -> None:
         super().shade(hit, sight, to_light, gl)
@@ -162,6 +180,9 @@ MISTAKES = (
     Rule("casts no shadows", _NoShadows),
     Rule("lets no sphere shadow itself", _NoOwnShadow),
     Rule("lets spheres behind a light hide it", _BehindTheLight),
+    Rule("leaves out the ambient term", _NoAmbient),
+    Rule("leaves out the diffuse term", _NoDiffuse),
+    Rule("leaves out the highlight", _NoHighlight),
     Rule("takes N.H in the place of R.V", _HalfVector),
     Rule("multiplies the highlight by the sphere's color", _ColoredHighlight),
     Rule("multiplies the highlight by N.L", _FadingHighlight),

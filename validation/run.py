@@ -480,7 +480,7 @@ def _compare(
     judge = Judge(scene, settings, analysis, *claims)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
     judged = None
-    if verdicts and any(comparison.maps is not None and comparison.maps.over.any() for comparison in found):
+    if any(comparison.maps is not None and comparison.maps.over.any() for comparison in found):
         # Only now: python-flint and what builds on it are for where there is something to judge.
         from validation import verdict
 
@@ -492,7 +492,7 @@ def _compare(
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found, judged))
+        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts else None))
     result.comparisons += [replace(comparison, maps=None) for comparison in found]
 
 

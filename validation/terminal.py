@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 #: A terminal of fewer columns gets a smaller table.
 NARROW = 100
 
+#: Kinds of verdicts of one scene and pair that are printed, the worst first.
+MOST_GROUPS = 12
+
 #: How the reason begins that Judge.edge_cap gives.
 EDGES = "too many edge pixels"
 
@@ -112,13 +115,18 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
 def print_verdicts(verdicts: Verdicts) -> None:
     """A line a group of pixels: who is off, on which decision, and why."""
     judged = len(verdicts.verdicts) + len(verdicts.unproved)
-    sample = f", {judged} of them judged, chosen at random" if judged < verdicts.differ else ""
+    sample = ""
+    if judged < verdicts.differ:
+        sample = f", {judged} of them judged, chosen at random" if judged else ", none of them judged"
     pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
     click.echo(f"{verdicts.scene} ({verdicts.renderer}, {verdicts.reference}): {pixels}{sample}")
-    for group in verdicts.groups():
+    groups = verdicts.groups()
+    for group in groups[:MOST_GROUPS]:
         mark = "" if group.explained else "UNEXPLAINED: " if group.finding.cause == "unexplained" else "WRONG: "
         text = f"  {mark}{group.sentence()}"
         click.secho(text, fg=None if group.explained else "red", color=colorful())
+    if len(groups) > MOST_GROUPS:
+        click.echo(f"  and {len(groups) - MOST_GROUPS} more kinds: --report and --json have them all")
     if verdicts.unproved:
         x, y = verdicts.unproved[0]
         some = "1 pixel" if len(verdicts.unproved) == 1 else f"{len(verdicts.unproved)} pixels"

@@ -18,6 +18,7 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -69,7 +70,9 @@ class Ball(NamedTuple):
         mantissa, exponent = value.mid().man_exp()
         # A radius has 30 bits, so that only underflow changes it.
         radius = float(value.rad())
-        return Ball(int(mantissa), int(exponent), radius if radius or value.is_exact() else TINY)
+        if radius < sys.float_info.min and not value.is_exact():
+            radius = math.nextafter(radius, math.inf)
+        return Ball(int(mantissa), int(exponent), radius)
 
     def arb(self) -> arb:
         """As a ball of python-flint."""
@@ -835,7 +838,7 @@ class Prover:
             follower.hurries = watch is None and not forced
             try:
                 hits = follower.follow(tuple(arb(entry) for entry in direction))  # type: ignore[arg-type]
-                ties = tuple(key for key in dict.fromkeys(signs.ties) if key.what != "at")
+                ties = tuple(key for key in dict.fromkeys(signs.ties) if key.what != "at" or key in unproved)
                 return _Path(bits, follower, hits, ties, unproved)
             except UncertainError:
                 if bits >= EXACT_FROM and not exact:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from validation.compare import json_value
-from validation.court import EXPLAINED, Court, Finding, Side
+from validation.court import EXPLAINED, NOWHERE, Court, Finding, Side
 from validation.parting import Decision
 from validation.renderers import Settings
-from validation.truth import Truth, UnprovedError
+from validation.truth import Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -128,7 +128,8 @@ class Verdicts:
         for verdict in self.verdicts:
             for finding in verdict.wrong or (verdict.renderer,):
                 pattern = finding.decision.pattern if finding.decision else ""
-                because = "" if finding.cause == "rounding" else finding.because
+                # What these say has numbers of the pixel in it.
+                because = "" if finding.cause in ("rounding", "unexplained") else finding.because
                 key = finding.renderer if verdict.wrong else "", finding.cause, pattern, because
                 found.setdefault(key, Group([], finding)).verdicts.append(verdict)
         return sorted(found.values(), key=lambda group: (group.explained, -len(group.verdicts)))
@@ -174,7 +175,7 @@ def judge(
 ) -> Verdicts | None:
     """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does."""
     pixels = differing(comparisons)
-    if not pixels or not most:
+    if not pixels:
         return None
     chosen = sorted(pixels, key=lambda place: (place[1], place[0]))
     if len(chosen) > most:
@@ -197,9 +198,9 @@ def judge(
         )
         try:
             truth = court.prover.pixel(x, y)
-        except UnprovedError:
+            found = [court.find(truth, side, compared) for side in (renderer, reference)]
+        except NOWHERE:
             unproved.append((x, y))
             continue
-        found = [court.find(truth, side, compared) for side in (renderer, reference)]
         verdicts.append(Verdict(x, y, tuple(pixels[x, y]), truth, found[0], found[1], edge))
     return Verdicts(label, renderer.renderer.name, reference.renderer.name, len(pixels), verdicts, unproved)

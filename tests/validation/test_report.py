@@ -364,7 +364,7 @@ def judged_by_hand(*, excused: bool = False, differ: int = 40) -> tuple[Rendered
         verdict(7, 40, fine, fine, ("normal", "depth")),
     ]
     verdicts = Verdicts(SCENE, name, reference, differ, every)
-    found.verdicts.append(verdicts)
+    found.verdicts[:] = [verdicts]
     return replace(kept[0], verdicts=verdicts), found
 
 
