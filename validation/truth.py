@@ -1025,6 +1025,7 @@ def prove(
     parts = [pixels[at : at + size] for at in range(0, len(pixels), size)]
     # Started afresh: a fork of a process in which Mitsuba has threads may hang.
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(min(jobs, len(parts)), context, _begin, (scene, settings))
     try:
         with _deaf():
@@ -1032,6 +1033,11 @@ def prove(
             results = pool.map(_work, parts)
         for found in results:
             yield from found
+    except BaseException:
+        # A pool that is interrupted while its workers start may wait for them for ever.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
 

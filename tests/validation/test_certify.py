@@ -753,7 +753,11 @@ def test_ended_from_outside_it_leaves_nothing(end: signal.Signals, tmp_path: Pat
             os.killpg(process.pid, end)  # as a terminal does: to all of them
         else:
             process.send_signal(end)
-        out, err = process.communicate(timeout=60)
+        try:
+            out, err = process.communicate(timeout=60)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
     assert out == ""
     if end == signal.SIGINT:
         assert (process.returncode, err.strip()) == (130, "interrupted")
