@@ -1,11 +1,15 @@
-"""What tests share: the folder of the keys, and one way to say what is missing."""
+"""What tests share: running `whitted`, the folder of the keys, and one way to say what is missing."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -52,3 +56,53 @@ def keys() -> Path:
 def root() -> Path:
     """The root of the repository."""
     return ROOT
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command left."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+    """Run `whitted` in this process."""
+    from validation import cli
+
+    def runs(*arguments: object) -> Result:
+        words = [str(argument) for argument in arguments]
+        monkeypatch.setattr(sys, "argv", ["whitted", *words])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            cli.main(words)
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        assert isinstance(exit_info.value.code, int)
+        return Result(exit_info.value.code, out, err)
+
+    return runs
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Add renderers to those that there are; `alone`: to none."""
+    from validation import renderers
+
+    def register(*extra: Any, failures: dict[str, str] | None = None, alone: bool = False) -> None:
+        found = {} if alone else renderers.registry().renderers
+        names = {**found, **{entry.name: entry for entry in extra}}
+        monkeypatch.setattr(renderers, "registry", lambda: renderers.Registry(names, failures or {}))
+
+    return register
+
+
+def strict(text: str) -> Any:
+    """JSON without the tokens that JSON does not have."""
+
+    def refuse(token: str) -> None:
+        raise AssertionError(f"{token} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)

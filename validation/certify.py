@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -15,24 +15,27 @@ from flint import arb, ctx
 from numpy.typing import NDArray
 
 import tracer.margins
+from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, lookup, names
 from validation import metrics, renderers
 from validation.compare import Judge, Mask, Record, json_value
-from validation.proofs import Pixel, choose, proved, split
+from validation.proofs import Pixel, choose, proved_or_not, split
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.renderers.floats import UNIT_ROUNDOFF, FloatRenderer
 from validation.run import (
     ANALYSIS_MAX_PIXELS,
-    InputError,
     Note,
+    Outcome,
     RendererError,
     blaming,
     draw,
+    explain_command,
     resized,
     shrink,
     versions,
+    why_not,
 )
-from validation.terminal import colorful, console, number
+from validation.terminal import TOO_MANY, colorful, console, number, print_failures, print_notes
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
@@ -69,6 +72,7 @@ class Proof:
     rest: dict[str, Array]
     radius: dict[str, Array]
     lit: list[Mask]  # by light: N.L > 0
+    unproved: tuple[Pixel, ...] = ()  # of which truth cannot be had; not among the N
 
 
 def hardest(analysis: Analysis, count: int) -> list[Pixel]:
@@ -94,7 +98,7 @@ def prove_scene(
     """Prove random pixels of a scene, and those of the smallest margins.
 
     Raises:
-        truth.UnprovedError: a pixel that could not be proved.
+        truth.UnprovedError: no pixel could be proved.
     """
     settings = settings or Settings()
     analysis = tracer.margins.analyse(
@@ -112,10 +116,14 @@ def prove_scene(
     value, rest, radius = ({name: np.zeros((len(every), channels)) for name, channels in fields} for _ in range(3))
     lit = [np.zeros(len(every), bool) for _ in scene.lights]
     unsettled = np.zeros(len(every), bool)
-    with closing(proved(scene, every, settings, jobs=jobs)) as found:
+    had = np.ones(len(every), bool)
+    with closing(proved_or_not(scene, every, settings, jobs=jobs)) as found:
         for place, truth in enumerate(found):
             if progress and place % 100 == 0:
                 progress(f"{place} of {len(every)} pixels proved")
+            if truth is None:
+                had[place] = False
+                continue
             for name, balls in truth.values.items():
                 for channel, ball in enumerate(balls):
                     value[name][place, channel], rest[name][place, channel] = split(ball)
@@ -124,9 +132,28 @@ def prove_scene(
             if truth.id >= 0:
                 for light, mask in zip(scene.lights, lit, strict=True):
                     mask[place] = _faces(truth, light)
-    x, y = (np.array([pixel[k] for pixel in every], dtype=np.intp) for k in (0, 1))
-    chosen_random, chosen_edge = (np.array([p in chosen for p in every], bool) for chosen in (set(random), set(edge)))
-    return Proof(scene, settings, analysis, x, y, chosen_random, chosen_edge, unsettled, value, rest, radius, lit)
+    if not had.any():
+        raise UnprovedError("no pixel could be proved")
+    x, y = (np.array([pixel[k] for pixel in every], dtype=np.intp)[had] for k in (0, 1))
+    chosen_random, chosen_edge = (
+        np.array([p in chosen for p in every], bool)[had] for chosen in (set(random), set(edge))
+    )
+    value, rest, radius = ({name: array[had] for name, array in of.items()} for of in (value, rest, radius))
+    return Proof(
+        scene,
+        settings,
+        analysis,
+        x,
+        y,
+        chosen_random,
+        chosen_edge,
+        unsettled[had],
+        value,
+        rest,
+        radius,
+        [mask[had] for mask in lit],
+        tuple(pixel for pixel, proven in zip(every, had, strict=True) if not proven),
+    )
 
 
 def _faces(truth: Truth, light: Light) -> bool:
@@ -179,9 +206,12 @@ class Certificate:
     """What the proved pixels of a scene say about a renderer.
 
     `random` and `edge` count pixels, which may be the same; `exempt` those among both that the specification leaves
-    open. `wrong` counts pixels with a decision, or a value beyond its tolerance, other than proved; `wrong_margin` is
-    the largest margin of these, `wrong_claim` the largest over the renderer's uncertainty; both None where nothing is
-    wrong. `unit` is the unit roundoff of a renderer that keeps to the specification in floating point, else None.
+    open; of the `unproved` truth could not be had, and they are in no other number. `wrong` counts pixels with a
+    decision, or a value beyond its tolerance, other than proved; `wrong_margin` is the largest margin of these,
+    `wrong_claim` the largest over the renderer's uncertainty; both None where nothing is wrong. `unit` is
+    the unit roundoff of a renderer that keeps to the specification in floating point, else None.
+    `edge_pixels`: of the pass that has most of them, the pixels of the whole image that may be decided either way;
+    `edge_cap`: how many may be. `explain`: the command that explains the worst pixel, "" where none is wrong.
     """
 
     scene: str
@@ -198,6 +228,10 @@ class Certificate:
     wrong_margin: float | None
     wrong_claim: float | None
     unit: float | None
+    edge_pixels: int
+    edge_cap: int
+    unproved: tuple[Pixel, ...]
+    explain: str
     misses: tuple[Miss, ...] = field(repr=False)
 
     @property
@@ -216,9 +250,14 @@ class Certificate:
         return sum(entry.interior_over for entry in self.passes)
 
     @property
+    def too_many_edges(self) -> bool:
+        """Whether it claims to tell so little that its edges are no excuse; as in a comparison."""
+        return self.edge_pixels > self.edge_cap
+
+    @property
     def ok(self) -> bool:
-        """Whether the renderer holds what it claims."""
-        return not self.over and (self.wrong_claim is None or self.wrong_claim < 1)
+        """Whether the renderer holds what it claims, and claims enough."""
+        return not self.over and not self.too_many_edges and (self.wrong_claim is None or self.wrong_claim < 1)
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
@@ -239,6 +278,10 @@ class Certificate:
             "wrong_margin": self.wrong_margin,
             "wrong_claim": self.wrong_claim,
             "unit": self.unit,
+            "edge_pixels": self.edge_pixels,
+            "edge_cap": self.edge_cap,
+            "unproved": self.unproved,
+            "explain": self.explain,
             "passes": [_named(vars(entry)) for entry in self.passes],
             "missing": self.missing,
             "misses": [_named(vars(miss)) for miss in self.misses],
@@ -270,6 +313,8 @@ def certify(
     Raises:
         InputError: the scene is not one that the renderer can be asked to draw.
         RendererError: it failed.
+        renderers.UnknownRendererError: no renderer has that name.
+        truth.UnprovedError: no pixel could be proved.
     """
     if isinstance(renderer, str):
         renderer = renderers.get(renderer)
@@ -308,6 +353,7 @@ def hold(
     passes: list[PassCertificate] = []
     misses: list[Miss] = []
     wrong = np.zeros(len(counted), bool)
+    edge_pixels = 0
     for name in wanted:
         row = lookup(name)
         compared = counted.copy()
@@ -320,7 +366,9 @@ def hold(
         error = differences.max(axis=-1)
         if row.quantity == "normal":
             error = np.sqrt(np.square(differences).sum(axis=-1))
-        edge = judge.edge(name)[at]
+        edges = judge.edge(name)
+        edge_pixels = max(edge_pixels, int(edges.sum()))
+        edge = edges[at]
         tolerance = _bound(judge, name)[at]
         over = compared & ~(error <= tolerance)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -358,6 +406,7 @@ def hold(
             )
     # Of a pixel that pass whose decisions have the least excuse.
     misses.sort(key=lambda miss: (-miss.claim, miss.y, miss.x))
+    worst = [(miss.x, miss.y) for miss in misses[:1]]
     told: dict[Pixel, Miss] = {}
     for miss in misses:
         told.setdefault((miss.x, miss.y), miss)
@@ -376,6 +425,10 @@ def hold(
         max((miss.margin for miss in misses), default=None),
         max((miss.claim for miss in misses), default=None),
         UNIT_ROUNDOFF[renderer.precision] if isinstance(renderer, FloatRenderer) else None,
+        edge_pixels,
+        judge.edge_cap(),
+        proof.unproved,
+        "".join(explain_command(label, proof.scene, proof.settings, x, y, [renderer.name]) for x, y in worst),
         tuple(told.values())[:TOLD],
     )
 
@@ -423,33 +476,22 @@ def _margins(judge: Judge, name: str, at: tuple[NDArray[np.intp], NDArray[np.int
 # ---- several scenes and renderers
 
 
-@dataclass
-class Certification:
+@dataclass(kw_only=True)
+class Certification(Outcome):
     """What `certify_scenes` found."""
 
-    settings: Settings
     pixels: int
     edges: int
     seed: int
     certificates: list[Certificate] = field(default_factory=list)
-    notes: list[Note] = field(default_factory=list)
-    failures: list[Note] = field(default_factory=list)
-    versions: dict[str, str] = field(default_factory=dict)
-    command: Sequence[str] = ()
-    #: How many of the failures are faults of a scene, not of a renderer.
-    wrong_input: int = 0
 
     @property
     def status(self) -> int:
         """The exit status: 0 all hold what they claim, 1 some do not, 2 a scene is wrong, 3 a renderer failed or
         nothing could be certified.
         """
-        if len(self.failures) > self.wrong_input:
-            return 3
-        if self.failures:
-            return 2
-        if not self.certificates:
-            return 3
+        if trouble := self.trouble(anything=bool(self.certificates)):
+            return trouble
         return 0 if all(certificate.ok for certificate in self.certificates) else 1
 
     def record(self) -> Record:
@@ -490,44 +532,30 @@ def certify_scenes(
     settings = settings or Settings()
     programs = [renderers.get(entry) if isinstance(entry, str) else entry for entry in tested]
     programs = list(dict.fromkeys(programs))
-    result = Certification(settings, pixels, edges, seed, versions=versions(programs))
-    usable: list[Renderer] = []
-    for program in programs:
-        try:
-            with blaming():
-                reason = program.unavailable()
-        except RendererError as error:
-            reason = str(error)
-        if reason is None:
-            usable.append(program)
-        else:
-            result.failures.append(Note("", program.name, reason))
+    result = Certification(settings=settings, pixels=pixels, edges=edges, seed=seed, versions=versions(programs))
+    usable = result.usable(programs)
     for label, scene in scenes.items():
         proofs: dict[tuple[int, int], Proof] = {}
         say = functools.partial(_say, progress, label)
         for program in usable:
             try:
-                with blaming():
-                    at_size = _sized(result, label, scene, program)
-                if at_size is None:
-                    continue
-                size = at_size.view.columns, at_size.view.rows
-                if size not in proofs:
-                    say("finding the pixels of the smallest margins")
-                    counts = {"pixels": pixels, "edges": edges, "seed": seed}
-                    proofs[size] = prove_scene(at_size, settings, **counts, jobs=jobs, progress=say)
-                say(program.name)
-                result.certificates.append(
-                    certify(at_size, program, settings, seed=seed, proof=proofs[size], label=label)
-                )
+                with result.trying(label, program):
+                    with blaming():
+                        at_size = _sized(result, label, scene, program)
+                    if at_size is None:
+                        continue
+                    size = at_size.view.columns, at_size.view.rows
+                    if size not in proofs:
+                        say("finding the pixels of the smallest margins")
+                        counts = {"pixels": pixels, "edges": edges, "seed": seed}
+                        proofs[size] = prove_scene(at_size, settings, **counts, jobs=jobs, progress=say)
+                    say(program.name)
+                    result.certificates.append(
+                        certify(at_size, program, settings, seed=seed, proof=proofs[size], label=label)
+                    )
             except UnprovedError as error:
-                _failed(result, Note(label, "", str(error)))
+                result.fail(Note(label, "", str(error)))
                 break  # nor for the other renderers
-            except RendererError as error:
-                _failed(result, Note(label, program.name, str(error)))
-            except InputError as error:
-                result.wrong_input += 1
-                _failed(result, Note("", "", str(error)))
     return result
 
 
@@ -536,18 +564,12 @@ def _say(progress: Callable[[str], None] | None, label: str, what: str) -> None:
         progress(f"{label}: {what}")
 
 
-def _failed(result: Certification, note: Note) -> None:
-    if note not in result.failures:
-        result.failures.append(note)
-
-
 def _sized(result: Certification, label: str, scene: Scene, program: Renderer) -> Scene | None:
     """The scene at the largest size that a renderer draws in time; None, and a note, where it cannot carry it."""
     settings = result.settings
     delivers = tuple(program.passes(scene, settings))
     if not delivers:
-        refusal = getattr(program, "refusal", None)
-        why = f" ({refusal(scene)})" if refusal else ""
+        why = f" ({why_not(program, scene)})".removesuffix(" ()")
         result.notes.append(Note(label, program.name, f"cannot carry this scene{why}: not certified"))
         return None
     columns, rows = scene.view.columns, scene.view.rows
@@ -591,26 +613,49 @@ def print_certification(result: Certification) -> None:
         out.print()
     for entry in result.certificates:
         if not entry.ok:
-            for miss in entry.misses:
-                click.secho(_told(entry, miss), fg="red", color=colorful())
+            told = [_told(entry, miss) for miss in entry.misses]
+            if entry.too_many_edges:
+                told.append(_too_many(entry))
+            for line in told:
+                click.secho(line, fg="red", color=colorful())
+            if entry.explain:
+                click.echo(f"  hint: {entry.explain}")
     for entry in result.certificates:
-        if entry.exempt:
-            click.echo(f"note: {entry.scene}: {entry.renderer}: left out {entry.exempt} pixels that are not settled")
-        if entry.missing:
-            click.echo(f"note: {entry.scene}: {entry.renderer}: it lacks {', '.join(entry.missing)}")
-    for note in result.notes:
-        click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
+        for text in _left_out(entry):
+            click.echo(f"note: {entry.scene}: {entry.renderer}: {text}")
+    print_notes(result)
     if result.certificates:
         click.echo("/tolerance: error over tolerance where all margins are above the renderer's uncertainty")
         click.echo("max error: of beauty, everywhere; wrong: pixels with a decision or a value other than proved")
         click.echo("at margin: the largest margin of a wrong pixel, in roundings u or in uncertainties of the renderer")
-    for failure in result.failures:
-        text = ": ".join(filter(None, vars(failure).values()))
-        # Those of scene files say `error:` after the place.
-        click.echo(text if ": error: " in text else f"error: {text}", err=True)
+    if any(entry.ok and entry.wrong for entry in result.certificates):
+        click.echo(
+            f"holds though some are wrong: their decisions are nearer, below {EDGE_ROUNDINGS} u or 1 uncertainty, than "
+            "it claims to tell"
+        )
+    print_failures(result)
     good, every, many = sum(entry.ok for entry in result.certificates), len(result.certificates), len(result.failures)
     total = f"{good} of {every} certificates hold" if every else "nothing was certified"
     click.echo(total + (f", {many} failure{'s'[: many > 1]}" if many else ""))
+
+
+def _left_out(entry: Certificate) -> Iterator[str]:
+    """What was not held against the truth."""
+    if entry.exempt:
+        yield f"left out {entry.exempt} pixel{'s'[: entry.exempt > 1]} that nothing settles"
+    if entry.unproved:
+        count, (x, y) = len(entry.unproved), entry.unproved[0]
+        yield f"{count} pixel{'s'[: count > 1]} could not be proved, for example {x} {y}"
+    if entry.missing:
+        yield f"it lacks {', '.join(entry.missing)}"
+
+
+def _too_many(entry: Certificate) -> str:
+    columns, rows = entry.size
+    return (
+        f"{entry.scene} ({entry.renderer}): {TOO_MANY}: {entry.edge_pixels} of {columns * rows}, more than the "
+        f"{entry.edge_cap} that the lengths of the outlines explain; it decides too little of this scene"
+    )
 
 
 def _margin(entry: Certificate) -> str:

@@ -14,14 +14,14 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from validation.options import SAMPLES, Count, Names, Size, positive, settings_options
+from validation.options import SAMPLES, Count, Names, Place, Size, Whole, positive, settings_options
 from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
 
 if TYPE_CHECKING:
@@ -33,6 +33,11 @@ PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
 DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED = 1, 2, 3, 130, 128 + 13
 #: As the scene format limits columns and rows.
 LONGEST_SIDE = 100_000
+#: Errors of one scene file that are shown.
+MOST_ERRORS = 20
+#: How a pixel is named.
+AT = "a column and a row, from 0 at the top left: --at X Y"
+XY = "one scene, then a column and a row, from 0 at the top left: whitted explain SCENE X Y"
 #: That of validation.run, which takes longer to import than help may take; a test holds them together.
 MOST_VERDICTS = 100
 
@@ -101,14 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         click.echo(error.format_message(), err=True)
     except click.ClickException as error:
         status = WRONG
-        context = getattr(error, "ctx", None)
-        path = context.command_path if context else "whitted"
-        message, hint = error.format_message().rstrip("."), f"see `{path} --help`"
-        if isinstance(error, click.NoSuchOption):
-            message = f"no such option '{error.option_name}'"
-            if near := difflib.get_close_matches(error.option_name, error.possibilities or (), n=1):
-                hint = f"did you mean '{near[0]}'?"
-        complain(f"error: {message[:1].lower()}{message[1:]}", hint)
+        complain(*_sentence(error))
     except (click.Abort, KeyboardInterrupt):
         status = INTERRUPTED
         complain("interrupted")
@@ -125,9 +123,31 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+def _sentence(error: click.ClickException) -> tuple[str, str]:
+    """What click finds wrong, and a hint, in our words."""
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context else "whitted"
+    message, hint = error.format_message().rstrip("."), getattr(error, "hint", "") or f"see `{path} --help`"
+    if isinstance(error, click.NoSuchOption):
+        message = f"no such option '{error.option_name}'"
+        if near := difflib.get_close_matches(error.option_name, error.possibilities or (), n=1):
+            hint = f"did you mean '{near[0]}'?"
+    elif isinstance(error, click.BadOptionUsage) and error.option_name == "--at":
+        message, hint = "--at: found fewer than two numbers", AT
+    elif isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter) and error.param:
+        name = error.param.human_readable_name
+        if isinstance(error.param, click.Option):
+            name = max(error.param.opts, key=len)
+        return f"error: {name}: {error.message.rstrip('.')}", hint
+    return f"error: {message[:1].lower()}{message[1:]}", hint
+
+
 @contextmanager
-def _errors() -> Iterator[None]:
-    """What is wrong with the input, as an error of the command; warnings go to stderr in the same style."""
+def _errors(done: str = "compared") -> Iterator[None]:
+    """What is wrong with the input, as an error of the command; warnings go to stderr in the same style.
+
+    `done`: what was not done where a scene is wrong.
+    """
     import tracer
     from validation.renderers import UnknownRendererError
     from validation.run import InputError, RendererError, SceneFilesError
@@ -148,8 +168,9 @@ def _errors() -> Iterator[None]:
         try:
             yield
         except SceneFilesError as error:
-            count = f"\nnothing was compared: {len(error.messages)} of {error.files} files are wrong"
-            raise CommandError(str(error) + count * (error.files > 1)) from error
+            text = "\n".join(map(_first_errors, error.messages))
+            count = f"\nnothing was {done}: {len(error.messages)} of {error.files} files are wrong"
+            raise CommandError(text + count * (error.files > 1)) from error
         except InputError as error:
             raise CommandError(str(error)) from error
         except RendererError as error:
@@ -164,6 +185,19 @@ def _errors() -> Iterator[None]:
             place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
             hint = "name a file in another folder" if isinstance(error, PermissionError) else ""
             raise CommandError(f"{place}{error.strerror or error}", hint) from error
+
+
+def _first_errors(message: str) -> str:
+    """What is wrong with a scene file; of a file that is none the beginning, and a count."""
+    entries = re.split(r"\n(?! )", message)  # a hint is indented
+    if len(entries) <= MOST_ERRORS:
+        return message
+    rest = len(entries) - MOST_ERRORS
+    # The parser stops counting one by one at some number.
+    if last := re.fullmatch(r".*: error: and (\d+) more", entries[-1]):
+        rest += int(last[1]) - 1
+    place = re.sub(r"(:\d+)*: error: .*", "", entries[0], flags=re.DOTALL)
+    return "\n".join([*entries[:MOST_ERRORS], f"{place}: error: and {rest} more"])
 
 
 def _settings(options: Mapping[str, Any]) -> Settings:
@@ -251,6 +285,27 @@ def _parent(path: Path) -> None:
         raise CommandError(f"{path}: {error.strerror or error}", "name a file in another folder") from error
 
 
+@contextmanager
+def _folder(path: Path) -> Iterator[None]:
+    """A folder to write into; what had to be made for it goes again if nothing was written."""
+    made: list[Path] = []
+    try:
+        try:
+            if path.exists() and not path.is_dir():
+                raise CommandError(f"--report: {path} is a file, expected a folder", "name a folder")
+            missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+            for folder in reversed(missing):
+                folder.mkdir(exist_ok=True)
+                made.append(folder)
+        except OSError as error:
+            raise CommandError(f"--report: {path}: {error.strerror or error}", "name another folder") from error
+        yield
+    finally:
+        for folder in reversed(made):
+            with suppress(OSError):  # it has something in it
+                folder.rmdir()
+
+
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(importlib.metadata.version("whitted"), message="%(prog)s %(version)s")
 def whitted() -> None:
@@ -264,15 +319,16 @@ def whitted() -> None:
 @click.option("--passes", type=Names(), help="Passes to compare, for example beauty,shadow.L*; default: all.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
-@click.option("--report", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write DIR/index.html.")
+@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
 @click.option(
     "--verdicts",
-    type=click.IntRange(0),
+    type=Whole(hint="--verdicts 500 judges 500 pixels of a scene at most, --verdicts 0 none"),
     default=MOST_VERDICTS,
     show_default=True,
     metavar="N",
-    help="Judge so many differing pixels of a scene and pair, of more a random sample.",
+    help="Of each scene and pair work out N differing pixels exactly: who is wrong, and why; a random sample where "
+    "more differ; 0: none.",
 )
 @click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
 @click.pass_context
@@ -317,7 +373,7 @@ def validate(
         if report:
             from validation.report.report import Report, ours
 
-            report.mkdir(parents=True, exist_ok=True)
+            ctx.with_resource(_folder(report))
             place = report / "index.html"
             _parent(place)
             if not ours(place):
@@ -436,7 +492,7 @@ def render(
     from fnmatch import fnmatchcase
 
     from tracer.passes import names
-    from validation.run import draw, resized
+    from validation.run import draw, resized, why_not
 
     ending = output.suffix.lower()
     with _errors():
@@ -451,8 +507,7 @@ def render(
         with _blaming(program):
             delivers = tuple(program.passes(loaded, settings))
         if not delivers:
-            refusal = getattr(program, "refusal", None)
-            why = f": {refusal(loaded)}" if refusal else ""
+            why = f": {why_not(program, loaded)}".removesuffix(": ")
             raise CommandError(f"{program.name} cannot carry the scene {scene}{why}", "see `whitted renderers`", FAILED)
         picture = ending in IMAGES
         wanted = passes or (("beauty",) if picture else delivers)
@@ -486,17 +541,8 @@ class OnePixel(click.Command):
         """Parse the words."""
         for before, word in itertools.pairwise(["", *args]):
             if re.fullmatch(r"-[0-9.]+", word) and not before.startswith("--"):
-                raise CommandError(f"'{word}' is no column or row of an image", "both count from 0 at the top left")
+                raise CommandError(f"'{word}' is no column or row of an image", XY)
         return super().parse_args(ctx, args)
-
-
-def _whole(context: click.Context, parameter: click.Parameter, value: str) -> int:
-    """A column or row."""
-    if not re.fullmatch("[0-9]{1,9}", value):
-        what = {"x": "column", "y": "row"}[str(parameter.name)]
-        hint = "one scene, then the column and the row from 0 at the top left: whitted explain SCENE X Y"
-        raise CommandError(f"{parameter.make_metavar(context)}: '{value}' is not the number of a {what}", hint)
-    return int(value)
 
 
 def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str, ...]) -> None:
@@ -507,8 +553,8 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
 
 @whitted.command(cls=OnePixel)
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.argument("x", callback=_whole)
-@click.argument("y", callback=_whole)
+@click.argument("x", type=Place(hint=XY))
+@click.argument("y", type=Place(hint=XY))
 @click.argument("more", nargs=-1, metavar="", callback=_nothing_more, expose_value=False)
 @click.option("--renderer", type=Names(), help="Renderers to hold against truth; default: all that can draw the scene.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
@@ -535,13 +581,14 @@ def explain(
     whitted explain scenes/gallery/mirrors.txt 200 250
     whitted explain scenes/spec/equal-hits.txt 72 200 --renderer native-f64,mitsuba-spec
 
-    Exit status: 0 explained, 2 the input or the command is wrong, 3 a renderer failed.
+    Exit status: 0 explained, 2 the input or the command is wrong, 3 a renderer failed, or none of those asked for draws
+    the scene.
     """  # noqa: D301 - click wants that character, not a backslash
     from validation import renderers
     from validation.explain import explain as run
     from validation.explain_text import print_explanation
     from validation.run import resized
-    from validation.truth import UnprovedError
+    from validation.truth import NOWHERE
 
     with _errors():
         chosen = [renderers.get(name) for name in renderer] if renderer else list(renderers.all())
@@ -557,28 +604,43 @@ def explain(
                 told = run(
                     loaded, x, y, _settings(options), list(dict.fromkeys(chosen)), label=label, progress=progress
                 )
-        except UnprovedError as error:
-            raise CommandError(str(error), "whitted explain another pixel", FAILED) from error
+        except NOWHERE as error:
+            raise CommandError(f"truth could not be had: {error}", "whitted explain another pixel", FAILED) from error
         print_explanation(told)
         if json_file:
             _write_text(json_file, json.dumps(told.record(), indent=1, allow_nan=False) + "\n")
+        if renderer and not told.failed and all(entry.reason for entry in told.drawn):
+            reasons = [f"{entry.renderer} {entry.reason}" for entry in told.drawn] or told.notes
+            hint = next((entry.hint for entry in told.drawn if entry.hint), "")
+            other = "see `whitted renderers`" if told.drawn else "a smaller --size"
+            raise CommandError("; ".join(reasons), hint or other, FAILED)
     ctx.exit(FAILED if told.failed else 0)
 
 
 @whitted.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
 @click.option(
-    "--pixels", type=Count(), metavar="N|all", help="How many random pixels; default: 10, with --renderer 2000."
+    "--pixels",
+    type=Count(hint="--pixels 100 takes 100 random pixels of each scene, --pixels all every one"),
+    metavar="N|all",
+    help="Prove N random pixels of each scene, or all; default: 10, with --renderer 2000.",
 )
 @click.option(
-    "--at", type=click.IntRange(0), nargs=2, multiple=True, metavar="X Y", help="This pixel; may be repeated."
+    "--at",
+    type=Place(hint=AT),
+    nargs=2,
+    multiple=True,
+    metavar="X Y",
+    help="Prove this pixel: column and row, from 0 at the top left; may be repeated.",
 )
 @click.option("--renderer", type=Names(), help="Renderers to hold against the proved values; default: none.")
-@click.option("--edges", type=click.IntRange(0), metavar="N", help="Pixels nearest to a decision; default: 500.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="S", help="Of the random pixels.")
+@click.option(
+    "--edges", type=Whole(), metavar="N", help="With --renderer: N pixels nearest to a decision; default: 500."
+)
+@click.option("--seed", type=Whole(), default=0, show_default=True, metavar="S", help="Of the random pixels.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
-@click.option("--jobs", type=click.IntRange(1, 1024), metavar="N", help="Processes that prove; default: one a core.")
+@click.option("--jobs", type=Whole(1, 1024), metavar="N", help="Processes that prove; default: one a core.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
 @click.option(
     "-o",
@@ -615,10 +677,10 @@ def truth(
     from validation.certify import EDGES, PIXELS, certify_scenes, print_certification
     from validation.proofs import PROVED, tell
     from validation.run import load_scenes, resized
-    from validation.truth import UnprovedError
+    from validation.truth import NOWHERE
 
-    command = _command()
-    with _errors():
+    command, at = _command(), tuple(dict.fromkeys(at))
+    with _errors("certified" if renderer else "proved"):
         _check_truth(pixels, at, renderer, edges, output)
         _check_size(size, no_limits=options["no_limits"])
         loaded = load_scenes(scenes, limits=not options["no_limits"])
@@ -639,10 +701,12 @@ def truth(
                 else:
                     common |= {"json_file": json_file, "output": output, "command": command}
                     lines = tell(loaded, at or pixels or PROVED, settings, **common)
-        except UnprovedError as error:
-            raise CommandError(str(error), "--at proves other pixels", FAILED) from error
+        except NOWHERE as error:
+            raise CommandError(f"truth could not be had: {error}", "--at proves other pixels", FAILED) from error
         for line in lines:
             click.echo(line)
+        if output:
+            click.echo(output)
         if renderer:
             result.command, status = command, result.status
             print_certification(result)
@@ -697,8 +761,8 @@ def _check_pixels(scenes: Mapping[str, Scene], at: tuple[tuple[int, int], ...], 
 @click.option("--to", "target", type=click.Choice(["mitsuba"]), required=True, help="The other program.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE")
 @click.option("--sample", type=click.Choice(SAMPLES), default="corner", show_default=True)
-@click.option("--max-reflections", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N")
-@click.option("--light", type=click.IntRange(0), metavar="I", help="Only light I, from 0; default: all.")
+@click.option("--max-reflections", type=Whole(0, 100), default=3, show_default=True, metavar="N")
+@click.option("--light", type=Whole(), metavar="I", help="Only light I, from 0; default: all.")
 @click.option("--stock-only", is_flag=True, help="Refuse a scene that needs plugins which Mitsuba does not come with.")
 @click.option("--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images.")
 def convert(

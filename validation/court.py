@@ -14,18 +14,20 @@ import itertools
 import math
 import random
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from flint.utils.flint_exceptions import FlintError
 
 from tracer.passes import MARGINS, lookup
 from validation import flips, parting
+from validation.follow import Key
 from validation.parting import Decision
 from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
 from validation.rules import Rule, mistakes
-from validation.truth import Ball, Key, Prover, Truth
+from validation.run import RendererError, blaming
+from validation.truth import NOWHERE, Ball, Prover, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -55,9 +57,6 @@ FORCED = 64
 
 #: Other pixels that are asked before a mistake is believed, and by how many tolerances one of them has to differ.
 WITNESSES, CLEARLY = 64, 100
-
-#: What changed truth may end in: roots of negative numbers, behind forced decisions, or where no precision is enough.
-NOWHERE = (ArithmeticError, FlintError)
 
 #: What a cause is worth: the first three explain a difference.
 EXPLAINED = ("rounding", "rule", "tie")
@@ -99,6 +98,23 @@ class Finding:
         return self.right or self.cause in EXPLAINED
 
 
+class RulesError(RendererError):
+    """The documented rules of `renderer`, a name, did what no rules may do."""
+
+    def __init__(self, renderer: str, message: str) -> None:
+        super().__init__(message)
+        self.renderer = renderer
+
+
+@contextmanager
+def _blaming(renderer: Renderer) -> Iterator[None]:
+    try:
+        with blaming():
+            yield
+    except RendererError as error:
+        raise RulesError(renderer.name, f"its rules: {error}") from error
+
+
 class Court:
     """Judges pixels of one scene."""
 
@@ -118,7 +134,11 @@ class Court:
         self._against: dict[tuple[Rule, str], int] = {}
 
     def find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
-        """Whether one renderer is off at a pixel, and why."""
+        """Whether one renderer is off at a pixel, and why.
+
+        Raises:
+            RulesError: its documented rules failed.
+        """
         pixel = _Pixel(self, truth, side, compared)
         name, errors = side.renderer.name, pixel.errors
         if not errors:
@@ -134,11 +154,15 @@ class Court:
     def causes(self, pixel: _Pixel) -> Iterator[_Possible]:
         """What made a pixel, the likeliest first."""
         x, y = pixel.truth.x, pixel.truth.y
-        ways = [
-            _Possible("rule", f"as documented, it {rule.says}", pixel.made(prover))
-            for rule in self.documented(pixel.side.renderer)
-            for prover in self.following(rule, x, y)
-        ]
+        # A rule is a third party's code, and it runs as far as the pixel that it makes.
+        with _blaming(pixel.side.renderer):
+            ways = [
+                _Possible("rule", f"as documented, it {rule.says}", made)
+                for rule in self.documented(pixel.side.renderer)
+                for prover in self.following(rule, x, y)
+                for made in [pixel.made(prover)]
+                if made.values is not None
+            ]
         yield from pixel.makers(ways)
         ties = [tie.key for tie in pixel.truth.ties if not tie.settled and tie.proved]
         even = "an exact tie that the specification does not settle"
@@ -162,12 +186,12 @@ class Court:
     def inexcusable(self, pixel: _Pixel) -> Iterator[_Possible]:
         """The single decision that must have been taken otherwise, whatever that takes: named, but no excuse."""
         found: list[_Possible] = []
-        for flip in flips.flips(self.prover, pixel.truth.x, pixel.truth.y):
+        for flip in _decisions(self.prover, pixel.truth.x, pixel.truth.y):
             if len(found) < FORCED and pixel.concerns([flip]):
                 claim = pixel.at(getattr(pixel.side.claim, flip.kind))
                 takes = f"numbers changed by {flip.margin:.2g}" if math.isfinite(flip.margin) else "other numbers"
                 because = f"nothing explains it: to decide so takes {takes}, and it {_may(claim)}"
-                made = pixel.made(self.prover.forcing({flip.key: _touching(flip)}))
+                made = pixel.made(self.prover.forcing({flip.key: flip.forced}))
                 found.append(_Possible("unexplained", because, made, None, flip, flip.kind))
         yield from pixel.makers(found, sensitivities=4)
 
@@ -182,9 +206,14 @@ class Court:
             """How many of them speak against it, or `enough`."""
             against = 0
             for x, y in places:
-                beside = _Pixel(self, self.prover.pixel(x, y, ties=False), pixel.side, pixel.compared)
-                if not beside.errors:
-                    against += all(beside.score(beside.made(other)) > CLEARLY for other in self.following(rule, x, y))
+                try:
+                    truth = self.prover.pixel(x, y, ties=False)
+                except NOWHERE:  # it cannot say
+                    continue
+                beside = _Pixel(self, truth, pixel.side, pixel.compared)
+                made = [beside.made(other) for other in self.following(rule, x, y)] if not beside.errors else []
+                if made and all(entry.values is not None for entry in made):
+                    against += all(beside.score(entry) > CLEARLY for entry in made)
                 if against >= enough:
                     break
             return against
@@ -210,9 +239,10 @@ class Court:
         """Truth with the numbers changed so that one decision flips, by no more than the renderer claims."""
         x, y = pixel.truth.x, pixel.truth.y
         claims = {kind: pixel.at(getattr(pixel.side.claim, kind)) for kind in MARGINS}
-        if not self.near(x, y, claims):
+        # The margins are the specification's: a rule has decisions of its own.
+        if prover is self.prover and not self.near(x, y, claims):
             return
-        within = [flip for flip in flips.flips(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
+        within = [flip for flip in _decisions(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
         may = f"rounding: it {_may(min(claims.values()))}, and truth makes this pixel{besides}"
         halfway = [_Possible("rounding", may, pixel.made(prover), 0.0)]
         singles = [(flip,) for flip in within]
@@ -235,17 +265,13 @@ class Court:
     def others(self, pixel: _Pixel, possible: _Possible, claims: Mapping[str, float]) -> list[_Possible]:
         """What makes a pixel in part, with one more decision the other way: one so near that no value tells."""
         prover, found = possible.made.prover, []
-        try:
-            decisions = flips.flips(prover, pixel.truth.x, pixel.truth.y)
-        except NOWHERE:
-            return []
-        for flip in decisions:
+        for flip in _decisions(prover, pixel.truth.x, pixel.truth.y):
             if flip.margin > min(claims[flip.kind], pixel.unit) or not any(
                 _changes(flip.key, name) for name in pixel.errors
             ):
                 continue
             because = f"{possible.because}, with {flip.kind} of margin {flip.margin:.2g} decided the other way"
-            made = pixel.made(prover.forcing({flip.key: _touching(flip)}))
+            made = pixel.made(prover.forcing({flip.key: flip.forced}))
             # All of it together has to be within the claim.
             change = (possible.change or 0.0) + flip.margin
             if change > min(claims.values()):
@@ -286,8 +312,9 @@ class Court:
                         best = min(best, (pixel.score(made), gap, made), key=lambda entry: entry[0])
             _, gap, made = best
             delta, beyond = margin + side * gap, margin + side * pixel.unit
+            made.back = gap
             if gap < pixel.unit:
-                made.gap, made.beyond = gap, changed(beyond if abs(beyond) <= most else side * most)
+                made.beyond = changed(beyond if abs(beyond) <= most else side * most)
             because = f"rounding: it {_may(claim)}, and truth of numbers changed by {abs(delta):.2g} makes this pixel"
             found.append(_Possible("rounding", because + besides, made, abs(delta), way, way.kind))
         return found
@@ -315,7 +342,10 @@ class Court:
 
     def parted(self, pixel: _Pixel, possible: _Possible) -> Decision:
         """The first decision that truth and what made the pixel took otherwise."""
-        decision = parting.part(self.prover, possible.made.prover, pixel.truth.x, pixel.truth.y)
+        try:
+            decision = parting.part(self.prover, possible.made.prover, pixel.truth.x, pixel.truth.y)
+        except NOWHERE:
+            decision = None
         if decision is None:
             return pixel.seen(possible.flip)
         return replace(decision, kind=possible.kind) if possible.kind else decision
@@ -336,15 +366,25 @@ class _Possible:
 class _Made:
     """A pixel of truth that is changed somehow.
 
-    `gap`: the change that would take it back over the decision that flips, `beyond`: the same decision farther off.
+    `back`: the change that would take it back over the decision that flips, `beyond`: the same decision farther off.
     """
 
     def __init__(self, prover: Prover, x: int, y: int) -> None:
         self.prover, self.x, self.y = prover, x, y
-        self.gap, self.beyond = math.inf, None
+        self.back = math.inf
+        self.beyond: _Made | None = None
 
-    gap: float
-    beyond: _Made | None
+    @functools.cached_property
+    def gap(self) -> float:
+        """The change as far as which slopes bound values: back, or a ray of the chain over the outline of its hit."""
+        try:
+            hits, _ = self.prover.examine(self.x, self.y)
+        except NOWHERE:
+            return 0.0
+        chain = {("meets", hit.bounce, -1, hit.sphere) for hit in hits}
+        decisions = _decisions(self.prover, self.x, self.y)
+        outlines = [flip.margin for flip in decisions if flip.key[:4] in chain]
+        return min([self.back, *outlines]) if decisions else 0.0
 
     @functools.cached_property
     def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
@@ -365,8 +405,11 @@ class _Made:
 
     @functools.cached_property
     def facing(self) -> frozenset[int]:
-        """The lights that the primary hit faces."""
-        hits, _ = self.prover.examine(self.x, self.y)
+        """The lights that the primary hit faces; where that cannot be had all: nothing is let pass."""
+        try:
+            hits, _ = self.prover.examine(self.x, self.y)
+        except NOWHERE:
+            return frozenset(range(len(self.prover.scene.lights)))
         return frozenset(sight.light for hit in hits[:1] for sight in hit.sights if sight.faces > 0)
 
     def sees(self, name: str, value: float) -> bool:
@@ -437,7 +480,7 @@ class _Pixel:
         margin = min(float(margins[self.truth.y, self.truth.x]) for margins in self.court.analysis.margins.values())
         if found and margin <= self.unit:
             made = self.made(self.court.prover)
-            made.gap = margin
+            made.back = margin
             found = {name: error for name, error in found.items() if not self.agrees(name, self.values[name], made)}
         return found
 
@@ -513,12 +556,15 @@ class _Pixel:
             return True
         # What the first order says of a value next to a decision holds as far as the decision: just behind an outline
         # the slope has no bound. Beyond the gap the slope that counts is the one farther off.
-        for truth, share in ((made, min(1.0, made.gap / self.unit)), (made.beyond, 1.0)):
-            if truth is not None and "moves" not in vars(truth):
+        for truth in (made, made.beyond):
+            if truth is None:
+                continue
+            if "moves" not in vars(truth):
                 if not self.left:
                     return False
                 self.left -= 1
-            if truth is not None and error <= self.tolerance(name, share * truth.moves.get(name, 0.0), size):
+            share = min(1.0, truth.gap / self.unit)
+            if error <= self.tolerance(name, share * truth.moves.get(name, 0.0), size):
                 return True
         return False
 
@@ -527,9 +573,12 @@ class _Pixel:
         return parting.seen(self.court.scene, self.truth.id, self.values, self.errors, flip)
 
 
-def _touching(flip: flips.Flip) -> int:
-    """The sign of a decision taken otherwise; the first that a ray does with a sphere it misses is to touch it."""
-    return 0 if flip.key.what == "meets" and flip.other > 0 else flip.other
+def _decisions(prover: Prover, x: int, y: int) -> list[flips.Flip]:
+    """Of changed truth at a pixel, those with the smallest margins first; none where that cannot be had."""
+    try:
+        return flips.flips(prover, x, y)
+    except NOWHERE:
+        return []
 
 
 def _may(claim: float) -> str:

@@ -14,9 +14,10 @@ import tracer.margins
 from tracer.passes import MARGINS, lookup, names, quantise
 from validation.compare import Judge, Record, json_value
 from validation.flips import Flip, flipped, flips
+from validation.follow import Hit, Key, Vector
 from validation.renderers import Renderer, Settings, Uncertainty
-from validation.run import ANALYSIS_MAX_PIXELS, InputError, RendererError, blaming, draw
-from validation.truth import Ball, Hit, Key, Prover, Tie, Truth, Vector
+from validation.run import ANALYSIS_MAX_PIXELS, InputError, RendererError, blaming, draw, shrink, why_not
+from validation.truth import NOWHERE, Ball, Prover, Tie, Truth
 from validation.verdict import Court, Side
 
 if TYPE_CHECKING:
@@ -128,13 +129,15 @@ class Difference:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a renderer made of the pixel. `reason`: why there is nothing; `failed`: it should have drawn, and did not.
+    """What a renderer made of the pixel. `reason`: why there is nothing, `hint`: what to do; `failed`: it should have
+    drawn, and did not.
 
     `differences` are in the order of computation.
     """
 
     renderer: str
     reason: str = ""
+    hint: str = ""
     failed: bool = False
     values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     levels: tuple[int, int, int] | None = None
@@ -545,7 +548,7 @@ def _matters(prover: Prover, truth: Truth, flip: Flip, hits: Sequence[Hit], met:
         return False  # the line would have to meet the sphere first
     try:
         turned = flipped(prover, truth.x, truth.y, flip)
-    except ArithmeticError:  # no pixel has this decision alone the other way
+    except NOWHERE:  # no pixel has this decision alone the other way
         return False
     return any(
         not (a == b or (a.mantissa is not None and b.mantissa is not None and a.arb().overlaps(b.arb())))
@@ -583,12 +586,16 @@ def look(
                 return Drawn(name, f"is not available: {reason}")
             wanted = [entry for entry in every if entry in renderer.passes(scene, settings)]
             if not wanted:
-                refusal = getattr(renderer, "refusal", None)
-                return Drawn(name, "cannot carry this scene" + (f": {refusal(scene)}" if refusal else ""))
+                return Drawn(name, f"cannot carry this scene: {why_not(renderer, scene)}".removesuffix(": "))
             most = renderer.max_pixels(scene, wanted)
             if most is not None and most < view.columns * view.rows:
                 size = f"{view.columns}x{view.rows}"
-                return Drawn(name, f"would take too long at {size}: it draws up to {most} pixels of this scene")
+                columns, rows = shrink(view.columns, view.rows, most)
+                return Drawn(
+                    name,
+                    f"would take too long at {size}: it draws up to {most} pixels of this scene",
+                    f"--size {columns}x{rows} is small enough; the columns and rows are then others",
+                )
             drawn = draw(renderer, label, scene, wanted, settings)
             for entry in wanted:
                 if entry not in drawn or drawn[entry].shape[:2] != (view.rows, view.columns):
@@ -610,8 +617,13 @@ def look(
         for entry in order(len(scene.lights), settings.max_reflections)
         if entry in values and (difference := _difference(entry, values, truth, lit, judge))
     ]
-    verdict = judged(scene, settings, truth, renderer, drawn, claim, analysis) if found else ""
-    return Drawn(name, values=values, levels=levels, differences=tuple(found), verdict=verdict)
+    verdict, failed = "", False
+    try:
+        if found:
+            verdict = judged(scene, settings, truth, renderer, drawn, claim, analysis)
+    except RendererError as error:
+        verdict, failed = f"No verdict: {error}.", True
+    return Drawn(name, failed=failed, values=values, levels=levels, differences=tuple(found), verdict=verdict)
 
 
 def _difference(

@@ -23,8 +23,10 @@ from validation.explain import (
     of_sphere,
     order,
 )
+from validation.follow import KINDS
+from validation.renderers.floats import UNIT_ROUNDOFF
 from validation.terminal import console, number
-from validation.truth import KINDS, Ball
+from validation.truth import Ball
 
 if TYPE_CHECKING:
     from validation.explain import LightSeen
@@ -411,7 +413,7 @@ def _renderers(told: Explanation) -> Iterator[Line]:
         if entry.differences:
             told_first = f"{entry.renderer}: first difference: {first_difference(told, entry)}"
             yield from _wrapped("differs", told_first, "red")
-            for more in (_edge(entry, entry.differences[0]), entry.verdict):
+            for more in (_edge(told, entry, entry.differences[0]), entry.verdict):
                 if more:
                     yield from _wrapped("", more)
     for entry in told.drawn:
@@ -445,12 +447,15 @@ def first_difference(told: Explanation, drawn: Drawn) -> str:
     return f"{says}{exact}: {off}{allowed}"
 
 
-def _edge(drawn: Drawn, difference: Difference) -> str:
+def _edge(told: Explanation, drawn: Drawn, difference: Difference) -> str:
     """Why the pixel is an edge for a renderer; "" where it is not."""
-    told = []
+    why = []
     for kind, margin, least in difference.edge:
+        # A margin is worked out in floating point: of what is exactly even its own rounding is left.
+        if margin < UNIT_ROUNDOFF["f64"] and any(KINDS[tie.key.what] == kind for tie in told.ties if tie.proved):
+            margin = 0.0
         below = f"its {kind} margin {number(margin)} is below the {number(least)} that it can tell"
-        told.append(below if least < 1 else f"it claims to tell no {kind} decision here")
+        why.append(below if least < 1 else f"it claims to tell no {kind} decision here")
     if difference.unbounded:
-        told.append("it has no bound for its values here")
-    return f"An edge, where {drawn.renderer} may differ: {'; '.join(told)}." if told else ""
+        why.append("it has no bound for its values here")
+    return f"An edge, where {drawn.renderer} may differ: {'; '.join(why)}." if why else ""

@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 
 from flint import arb, ctx, fmpq
 
-from validation.truth import KINDS, Ball, Key, Prover, Truth, rational
+from validation.follow import KINDS, Key, rational
+from validation.truth import Ball, Prover, Truth
 
 #: Differences are taken over this relative step, with balls of four times its bits: derivatives keep 60 digits.
 STEP_BITS = 256
@@ -45,6 +46,11 @@ class Flip:
     def kind(self) -> str:
         """The kind of margin."""
         return KINDS[self.key.what]
+
+    @property
+    def forced(self) -> int:
+        """The sign to force for the decision to be taken otherwise: a ray that comes to a sphere touches it first."""
+        return 0 if self.key.what == "meets" and self.other > 0 else self.other
 
 
 def flips(prover: Prover, x: int, y: int, forced: Mapping[Key, int] | None = None) -> list[Flip]:
@@ -191,6 +197,4 @@ def changed(prover: Prover, x: int, y: int, flip: Flip, delta: float) -> Prover:
 
 def flipped(prover: Prover, x: int, y: int, flip: Flip, forced: Mapping[Key, int] | None = None) -> Truth:
     """The pixel with that decision taken the other way."""
-    # The first that a ray does with a sphere it misses is to touch it.
-    sign = 0 if flip.key.what == "meets" and flip.other > 0 else flip.other
-    return prover.pixel(x, y, forced={**(forced or {}), flip.key: sign}, ties=False)
+    return prover.pixel(x, y, forced={**(forced or {}), flip.key: flip.forced}, ties=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import click
 
@@ -15,6 +15,47 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SAMPLES = ("corner", "center", "bottom-left", "inclusive")
 #: As tracer limits them.
 MOST_THREADS = 1024
+
+
+class BadValueError(click.BadParameter):
+    """A value that an option cannot have, and what to type instead."""
+
+    hint = ""
+
+
+class Whole(click.ParamType[int]):
+    """A whole number from `least` to `most`, None: as large as you like; `hint`: what it means."""
+
+    name = "N"
+
+    def __init__(self, least: int = 0, most: int | None = None, hint: str = "") -> None:
+        """Both ends count."""
+        self.least, self.most, self.hint = least, most, hint
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """As a number."""
+        if isinstance(value, int):
+            return value
+        if not re.fullmatch("[0-9]{1,18}", value) or not self.least <= int(value) <= (self.most or sys.maxsize):
+            upward = "on" if self.most is None else f"to {self.most}"
+            self.refuse(f"'{value}' is not a whole number from {self.least} {upward}", param, ctx)
+        return int(value)
+
+    def refuse(self, message: str, param: click.Parameter | None, ctx: click.Context | None) -> NoReturn:
+        """Say what is wrong, and the hint."""
+        error = BadValueError(message, ctx, param)
+        error.hint = self.hint
+        raise error
+
+
+class Place(Whole):
+    """A column or row of an image."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """As a number."""
+        if not re.fullmatch("[0-9]{1,18}", str(value)):
+            self.refuse(f"'{value}' is no column or row of an image", param, ctx)
+        return int(value)
 
 
 class Names(click.ParamType[tuple[str, ...]]):
@@ -47,7 +88,7 @@ class Size(click.ParamType[tuple[int, int]]):
         return int(found[1]), int(found[2])
 
 
-class Count(click.ParamType[int]):
+class Count(Whole):
     """How many pixels: a number from 1 on, or `all`, which is more than any image has."""
 
     name = "N|all"
@@ -59,7 +100,7 @@ class Count(click.ParamType[int]):
         if value == "all":
             return sys.maxsize
         if not re.fullmatch(r"0*[1-9][0-9]{0,17}", value):
-            self.fail(f"'{value}' is not a number of pixels from 1 on, or 'all'", param, ctx)
+            self.refuse(f"'{value}' is not a number of pixels from 1 on, or 'all'", param, ctx)
         return int(value)
 
 
@@ -99,7 +140,7 @@ def settings_options(function: Function) -> Function:
             ),
             click.option(
                 "--max-reflections",
-                type=click.IntRange(0, 100),
+                type=Whole(0, 100),
                 default=3,
                 show_default=True,
                 metavar="N",
@@ -107,7 +148,7 @@ def settings_options(function: Function) -> Function:
             ),
             click.option(
                 "--threads",
-                type=click.IntRange(0, MOST_THREADS),
+                type=Whole(0, MOST_THREADS),
                 default=0,
                 metavar="N",
                 help="Threads; 0, the default: all.",

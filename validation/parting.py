@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from validation.truth import KINDS, Hit, Prover, Sight
+from validation.follow import KINDS, Hit, Sight
+from validation.truth import Prover
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -103,7 +104,7 @@ def _hit(scene: Scene, a: Hit | None, b: Hit | None, after: str) -> tuple[str, s
     if middle(b.t) < middle(a.t):
         return f"hits {theirs}{after} {their}, before {name} {at}", f"hits {theirs}{after} before {name}"
     clause = f"misses {name}{after}"
-    return f"{clause} {at}, and hits {theirs} behind it {their}", f"{clause}, before {theirs}"
+    return f"{clause} {at}, and hits {theirs} behind it {their}", f"{clause} and hits {theirs} behind it"
 
 
 def _light(
@@ -126,8 +127,8 @@ def _light(
             t = _between(other, their, sight.light, sphere)
         return clause + ("" if t is None else f" at t = {t:.7g}"), clause, sphere, t
     if (sight.specular is None) != (seen.specular is None):
-        more, sign = ("adds a", "<=") if seen.specular is not None else ("leaves out the", ">")
-        clause = f"{more} highlight of {light} where R.V {sign} 0{after}"
+        more, where = ("adds a", "not above") if seen.specular is not None else ("leaves out the", "above")
+        clause = f"{more} highlight of {light} where R.V is {where} 0{after}"
         return clause, clause, hit.sphere, None
     return None
 

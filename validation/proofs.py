@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from tracer.passes import Passes, lookup, names, write_beside
 from validation.compare import json_value
+from validation.follow import KINDS, Key
 from validation.run import versions
 from validation.terminal import number
-from validation.truth import KINDS, Ball, Key, Tie, Truth, prove
+from validation.truth import NOWHERE, Ball, Prover, Tie, Truth, prove
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -50,6 +51,29 @@ def choose(scene: Scene, pixels: int, seed: int = 0) -> list[Pixel]:
         return [(x, y) for y in range(scene.view.rows) for x in range(columns)]
     places = np.sort(np.random.default_rng(seed).choice(total, pixels, replace=False))
     return [(int(place) % columns, int(place) // columns) for place in places]
+
+
+def proved_or_not(
+    scene: Scene, pixels: Sequence[Pixel], settings: Settings | None = None, *, jobs: int | None = None
+) -> Generator[Truth | None]:
+    """As `proved`, with None for a pixel of which truth cannot be had."""
+    done = 0
+    while done < len(pixels):
+        try:
+            with closing(proved(scene, pixels[done:], settings, jobs=jobs)) as found:
+                for truth in found:
+                    done += 1
+                    yield truth
+        except NOWHERE:
+            # The next pixel, or one soon after it: other processes take several at once.
+            prover, last = Prover(scene, settings), False
+            while done < len(pixels) and not last:
+                try:
+                    one: Truth | None = prover.pixel(*pixels[done])
+                except NOWHERE:
+                    one, last = None, True
+                done += 1
+                yield one
 
 
 def proved(

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from flint import arb
 
+from validation.follow import Follower, Hit, Sight, Vector
 from validation.renderers import Settings
-from validation.truth import Follower, Hit, Sight, Vector
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -125,7 +125,7 @@ class _ColoredHighlight(Follower):
 class _FadingHighlight(Follower):
     def shade(self, hit: Hit, sight: Sight, to_light: Vector, gl: Any) -> None:
         super().shade(hit, sight, to_light, gl)
-        if sight.specular is not None and self.tables.diffuse[hit.sphere][sight.light] is not None:
+        if sight.specular is not None:
             x, y, z = (value * sight.cosine for value in sight.specular)
             sight.specular = x, y, z
 

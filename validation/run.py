@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import platform
+import shlex
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -60,19 +62,59 @@ class Rendered:
     verdicts: Verdicts | None = None
 
 
-@dataclass
-class Validation:
-    """What `validate` found: comparisons, what was left out, what failed, and the versions of everything involved."""
+@dataclass(kw_only=True)
+class Outcome:
+    """What was left out, what failed, and the versions of everything involved."""
 
     settings: Settings
-    comparisons: list[Comparison] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     failures: list[Note] = field(default_factory=list)
-    verdicts: list[Verdicts] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     command: Sequence[str] = ()
     #: How many of the failures are faults of a scene or a size, not of a renderer.
     wrong_input: int = 0
+
+    def fail(self, note: Note, *, wrong_input: bool = False) -> None:
+        """Keep a failure; a renderer of several pairs fails the same way in each."""
+        if note not in self.failures:
+            self.failures.append(note)
+            self.wrong_input += wrong_input
+
+    @contextmanager
+    def trying(self, label: str, renderer: Renderer) -> Iterator[None]:
+        """What goes wrong with a renderer on a scene is kept; the others go on."""
+        try:
+            yield
+        except RendererError as error:
+            self.fail(Note(label, renderer.name, str(error)))
+        except InputError as error:
+            self.fail(Note("", "", str(error)), wrong_input=True)
+
+    def usable(self, asked: Iterable[Renderer]) -> list[Renderer]:
+        """Those of them that can run here; that the others cannot is a failure."""
+        found = []
+        for renderer in asked:
+            with self.trying("", renderer), blaming():
+                reason = renderer.unavailable()
+                if reason is None:
+                    found.append(renderer)
+                else:
+                    self.fail(Note("", renderer.name, reason))
+        return found
+
+    def trouble(self, *, anything: bool) -> int:
+        """The exit status where something went wrong, else 0; `anything`: whether anything could be done."""
+        if len(self.failures) > self.wrong_input or not (anything or self.failures):
+            return 3
+        return 2 if self.failures else 0
+
+
+@dataclass(kw_only=True)
+class Validation(Outcome):
+    """What `validate` found."""
+
+    comparisons: list[Comparison] = field(default_factory=list)
+    verdicts: list[Verdicts] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
@@ -84,12 +126,8 @@ class Validation:
         """The exit status: 0 all agree, 1 some differ or a difference is not explained, 2 a scene or a size is wrong,
         3 a renderer failed or nothing could be compared.
         """
-        if len(self.failures) > self.wrong_input:
-            return 3
-        if self.failures:
-            return 2
-        if not self.comparisons:
-            return 3
+        if trouble := self.trouble(anything=bool(self.comparisons)):
+            return trouble
         agree = all(comparison.ok for comparison in self.comparisons)
         return 0 if agree and all(verdicts.explained for verdicts in self.verdicts) else 1
 
@@ -140,6 +178,12 @@ def blaming() -> Iterator[None]:
         raise
     except (Exception, SystemExit) as error:
         raise RendererError(f"failed: {type(error).__name__}: {error}") from error
+
+
+def why_not(renderer: Renderer, scene: Scene) -> str:
+    """Why a renderer cannot carry a scene; "" where it gives no reason, as it does not have to."""
+    refusal = getattr(renderer, "refusal", None)
+    return str(refusal(scene)) if refusal else ""
 
 
 def draw(renderer: Renderer, label: str, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
@@ -212,6 +256,32 @@ def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str
     if wrong:
         raise SceneFilesError(wrong, len(files))
     return scenes
+
+
+def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int, renderers: Iterable[str]) -> str:
+    """What to type to have a pixel of the scene, as it was drawn, explained."""
+    where = "-" if label == "<stdin>" else label
+    words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(renderers)]
+    if not _is_file(label, scene):
+        words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
+    for name in ("sample", "shadow_epsilon", "max_reflections"):
+        if getattr(settings, name) != getattr(Settings(), name):
+            words += [f"--{name.replace('_', '-')}", str(getattr(settings, name))]
+    try:
+        scene.replace(limits=True)
+    except tracer.SceneError:
+        words.append("--no-limits")
+    return shlex.join(words)
+
+
+def _is_file(label: str, scene: Scene) -> bool:
+    """Whether a scene is drawn as its file has it, at the same size."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # its reader has warned already
+            return Path(label).is_file() and tracer.load(label, limits=False) == scene
+    except (OSError, ValueError):
+        return False
 
 
 def versions(used: Iterable[Renderer]) -> dict[str, str]:
@@ -287,22 +357,14 @@ def validate(
     if not isinstance(scenes, Mapping):
         scenes = load_scenes(scenes, limits=limits)
     tested, references = _renderers(renderer), _renderers(against)
-    result = Validation(settings, versions=versions(dict.fromkeys([*tested, *references])))
-    usable = {}
-    for candidate in dict.fromkeys([*tested, *references]):
-        try:
-            with blaming():
-                reason = candidate.unavailable()
-        except RendererError as error:
-            reason = str(error)
-        usable[candidate.name] = reason is None
-        if reason is not None:
-            result.failures.append(Note("", candidate.name, reason))
+    every = dict.fromkeys([*tested, *references])
+    result = Validation(settings=settings, versions=versions(every))
+    usable = result.usable(every)
     pairs = [
         (first, second)
         for first in tested
         for second in references
-        if first.name != second.name and usable[first.name] and usable[second.name]
+        if first.name != second.name and first in usable and second in usable
     ]
     for label, scene in scenes.items():
         drawn: dict[tuple[str, tuple[int, int]], Passes | None] = {}
@@ -314,7 +376,7 @@ def validate(
             try:
                 _pair(result, label, at_size, first, second, passes, verdicts, drawn, analyses, on_rendered)
             except _PairError as error:
-                _failed(result, error.note)
+                result.fail(error.note)
     return result
 
 
@@ -339,12 +401,6 @@ class _PairError(Exception):
     def __init__(self, note: Note) -> None:
         super().__init__(note.message)
         self.note = note
-
-
-def _failed(result: Validation, note: Note) -> None:
-    # A renderer of several pairs fails the same way in each.
-    if note not in result.failures:
-        result.failures.append(note)
 
 
 @contextmanager
@@ -378,9 +434,7 @@ def _pair(
         with _of(label, side):
             delivers[side.name] = tuple(side.passes(scene, settings))
         if not delivers[side.name]:
-            # Not part of what a renderer must have: one that refuses nothing needs no reason.
-            refusal = getattr(side, "refusal", None)
-            why = f" ({refusal(scene)})" if refusal else ""
+            why = f" ({why_not(side, scene)})".removesuffix(" ()")
             result.notes.append(Note(label, side.name, f"cannot carry this scene{why}: not compared"))
             return
     # The same for every pair, so that what is drawn for one serves the next.
@@ -488,7 +542,10 @@ def _compare(
             verdict.Side(side, passes_of, claim)
             for side, passes_of, claim in zip((first, second), (a, b), claims, strict=True)
         ]
-        judged = verdict.judge(scene, label, settings, analysis, sides[0], sides[1], found, most=verdicts)
+        try:
+            judged = verdict.judge(scene, label, settings, analysis, sides[0], sides[1], found, most=verdicts)
+        except verdict.RulesError as error:
+            result.fail(Note(label, error.renderer, str(error)))
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
@@ -497,11 +554,6 @@ def _compare(
 
 
 def _draw(result: Validation, label: str, scene: Scene, side: Renderer, wanted: Sequence[str]) -> Passes | None:
-    try:
+    with result.trying(label, side):
         return draw(side, label, scene, wanted, result.settings)
-    except RendererError as error:  # the others go on
-        _failed(result, Note(label, side.name, str(error)))
-    except InputError as error:
-        result.wrong_input += 1
-        _failed(result, Note("", "", str(error)))
     return None

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from validation.compare import Comparison
-    from validation.run import Validation
+    from validation.run import Outcome, Validation
     from validation.verdict import Verdicts
 
 
@@ -28,7 +28,7 @@ NARROW = 100
 MOST_GROUPS = 12
 
 #: How the reason begins that Judge.edge_cap gives.
-EDGES = "too many edge pixels"
+TOO_MANY = "too many edge pixels"
 
 
 def complain(message: str, hint: str = "") -> None:
@@ -83,33 +83,45 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         where = f"{most.scene}: {names} ({most.renderer}, {most.reference})"
         worst = _worst(most) if len(alike) == 1 else ""
         click.secho(f"{where}: {'; '.join(most.reasons)}{worst}", fg="red", color=colorful())
-    undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(EDGES)}
+    undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(TOO_MANY)}
     if undecided - {"numpy-f64"}:
         click.echo("  hint: where there are too many edge pixels, --against numpy-f64 may decide more")
     for verdicts in result.verdicts:
         print_verdicts(verdicts)
-    for note in result.notes:
-        click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
+    print_notes(result)
     if result.comparisons:
         click.echo("interior, edge: pixels over tolerance / all; only interior ones have to agree")
         click.echo("max error: of all pixels; /tolerance: error over tolerance of interior ones")
-    for failure in result.failures:
-        text = ": ".join(filter(None, vars(failure).values()))
-        # Those of scene files say `error:` after the place.
-        click.echo(text if ": error: " in text else f"error: {text}", err=True)
+    print_failures(result)
     unexplained = sum(
         sum(not verdict.explained for verdict in verdicts.verdicts) + len(verdicts.unproved)
         for verdicts in result.verdicts
     )
+    # Of a sample that has some, there may be more.
+    least = "at least " * any(len(v.verdicts) + len(v.unproved) < v.differ for v in result.verdicts)
     agree = sum(comparison.ok for comparison in result.comparisons)
     total = f"{agree} of {len(result.comparisons)} comparisons agree" if result.comparisons else "nothing was compared"
     if not (result.comparisons or result.notes or result.failures):
         total += ": there is no scene, or no pair of two different renderers"
     click.echo(
         total
-        + (f", {unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
+        + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
         + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
     )
+
+
+def print_notes(result: Outcome) -> None:
+    """What was left out."""
+    for note in result.notes:
+        click.echo(f"note: {': '.join(filter(None, vars(note).values()))}")
+
+
+def print_failures(result: Outcome) -> None:
+    """What failed."""
+    for failure in result.failures:
+        text = ": ".join(filter(None, vars(failure).values()))
+        # Those of scene files say `error:` after the place.
+        click.echo(text if ": error: " in text else f"error: {text}", err=True)
 
 
 def print_verdicts(verdicts: Verdicts) -> None:
@@ -127,6 +139,10 @@ def print_verdicts(verdicts: Verdicts) -> None:
         click.secho(text, fg=None if group.explained else "red", color=colorful())
     if len(groups) > MOST_GROUPS:
         click.echo(f"  and {len(groups) - MOST_GROUPS} more kinds: --report and --json have them all")
+    both = sum(len(verdict.wrong) > 1 for verdict in verdicts.verdicts)
+    if both:
+        pixels = "1 pixel, at which both are off, is" if both == 1 else f"{both} pixels, at which both are off, are"
+        click.echo(f"  ({pixels} in two of these lines)")
     if verdicts.unproved:
         x, y = verdicts.unproved[0]
         some = "1 pixel" if len(verdicts.unproved) == 1 else f"{len(verdicts.unproved)} pixels"

@@ -10,17 +10,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from validation.compare import json_value
-from validation.court import EXPLAINED, NOWHERE, Court, Finding, Side
+from validation.court import EXPLAINED, Court, Finding, RulesError, Side
 from validation.parting import Decision
 from validation.renderers import Settings
-from validation.truth import Truth
+from validation.truth import NOWHERE, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
     from validation.compare import Comparison, Record
 
-__all__ = ["EXPLAINED", "Court", "Decision", "Finding", "Group", "Side", "Verdict", "Verdicts", "differing", "judge"]
+__all__ = [
+    "EXPLAINED",
+    "Court",
+    "Decision",
+    "Finding",
+    "Group",
+    "RulesError",
+    "Side",
+    "Verdict",
+    "Verdicts",
+    "differing",
+    "judge",
+]
 
 
 @dataclass(frozen=True)
@@ -173,7 +185,11 @@ def judge(
     *,
     most: int,
 ) -> Verdicts | None:
-    """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does."""
+    """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does.
+
+    Raises:
+        RulesError: the documented rules of one of them failed.
+    """
     pixels = differing(comparisons)
     if not pixels:
         return None

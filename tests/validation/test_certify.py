@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -10,13 +11,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import doubles
 import numpy as np
 import pytest
+from conftest import Result, strict
 from doubles import Double, with_arrays, with_settings
 from flint import fmpq
 
@@ -24,12 +26,13 @@ import tracer
 import tracer.margins
 from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, names
-from validation import certify, cli, proofs, renderers
+from validation import certify, proofs, renderers
 from validation.certify import Certificate, Proof, certify_scenes, hardest, prove_scene
 from validation.compare import Judge
-from validation.proofs import ALL, at_most, block, choose, decimals, pixel_record, proved, split, words
-from validation.renderers import Registry, Settings, Uncertainty
-from validation.truth import Ball, Key, Prover, Tie, Truth, UnprovedError, prove
+from validation.follow import Key
+from validation.proofs import ALL, at_most, block, choose, decimals, pixel_record, proved, proved_or_not, split, words
+from validation.renderers import Settings, Uncertainty
+from validation.truth import Ball, Prover, Tie, Truth, UnprovedError, prove
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.glob("*/*.txt"))
@@ -241,7 +244,8 @@ def test_no_decision_of_a_float_renderer_is_wrong_above_its_claim(proof: Proof) 
 def test_without_a_bound_no_decision_is_wrong_above_the_claim(
     roundings: int, ok: bool, proof: Proof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Pretend that all pixels lack a bound, so that they are edges whatever their margins.
+    # Pretend that all pixels lack a bound, so that they are edges whatever their margins, and that they may be.
+    monkeypatch.setattr(Judge, "edge_cap", lambda judge: judge.analysis.ids.size)
     monkeypatch.setattr(Judge, "edge", lambda judge, _: np.ones(judge.analysis.ids.shape, bool))
     margin = roundings * 2.0**-53
     margins = {kind: np.full_like(array, margin) for kind, array in proof.analysis.margins.items()}
@@ -457,43 +461,79 @@ def test_a_slow_renderer_is_certified_at_a_smaller_size() -> None:
     assert "certified at 32x24 instead of 64x48" in found.notes[0].message
 
 
-def test_a_pixel_that_cannot_be_proved_fails_its_scene(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any, **__: Any) -> Any:
-        raise UnprovedError("pixel 1 2: not enough")
-
-    monkeypatch.setattr(proofs, "prove", refuse)
+def test_where_no_pixel_can_be_proved_nothing_is_certified(unproved: Any) -> None:
+    unproved(lambda *_: True)
     found = certify_scenes({"full": doubles.full()}, ["native-f64", "numpy-f64"], pixels=3, edges=0, jobs=1)
-    assert (found.status, len(found.failures), found.failures[0].message) == (3, 1, "pixel 1 2: not enough")
+    assert (found.status, len(found.failures), found.failures[0].message) == (3, 1, "no pixel could be proved")
+    assert not found.certificates
+
+
+@pytest.fixture
+def unproved(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Make some pixels ones of which truth cannot be had."""
+    pixel = Prover.pixel
+
+    def refusing(which: Callable[[int, int], bool]) -> None:
+        def proves(prover: Prover, x: int, y: int, **options: Any) -> Truth:
+            if which(x, y):
+                raise UnprovedError(f"pixel {x} {y}: not enough")
+            return pixel(prover, x, y, **options)
+
+        monkeypatch.setattr(Prover, "pixel", proves)
+
+    return refusing
+
+
+def test_a_pixel_that_cannot_be_proved_is_left_out(unproved: Any, run: Any, scene: Path, tmp_path: Path) -> None:
+    unproved(lambda x, y: (x, y) in [(3, 2), (4, 2), (63, 47)])
+    file = tmp_path / "c.json"
+    result = run(scene, "--renderer", "native-f64", "--pixels", "all", "--edges", "0", "--json", file)
+    assert (result.status, result.err) == (0, "")
+    assert "native-f64: 3 pixels could not be proved, for example 3 2\n" in result.out
+    (entry,) = strict(file.read_text())["certificates"]
+    assert entry["unproved"] == [[3, 2], [4, 2], [63, 47]]
+    assert (entry["proved"], entry["random"]) == (64 * 48 - 3, 64 * 48 - 3)
+
+
+def test_what_cannot_be_proved_by_other_processes(unproved: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, pixels = doubles.full(), choose(doubles.full(), 40)
+
+    def together(scene: tracer.Scene, pixels: Any, settings: Any = None, *, jobs: Any = None) -> Any:
+        # Ten at once, as other processes do: what comes before the one that fails is lost with it.
+        del jobs
+        for place in range(0, len(pixels), 10):
+            yield from list(prove(scene, pixels[place : place + 10], settings, jobs=1))
+
+    unproved(lambda x, y: (x, y) in [pixels[7], pixels[8], pixels[25], pixels[39]])
+    monkeypatch.setattr(proofs, "prove", together)
+    found = list(proved_or_not(scene, pixels))
+    assert [k for k, truth in enumerate(found) if truth is None] == [7, 8, 25, 39]
+    assert [(truth.x, truth.y) for truth in found if truth] == [p for k, p in enumerate(pixels) if found[k]]
+    assert len(found) == 40
+
+
+def test_who_claims_too_little_is_not_excused(run: Any, scene: Path, registered: Any, tmp_path: Path) -> None:
+    def dark(arrays: doubles.Arrays) -> None:
+        arrays["beauty"][:] = 0
+
+    registered(Double(draw=with_arrays(dark), claim=Uncertainty(9.0, 9.0, 9.0, 9.0, 1e-9)))
+    file = tmp_path / "c.json"
+    result = run(scene, "--renderer", "double", "--pixels", "60", "--edges", "9", "--json", file)
+    assert result.status == 1
+    assert "full.txt (double): too many edge pixels: " in result.out
+    assert f"\n  hint: whitted explain {scene} " in result.out
+    (entry,) = strict(file.read_text())["certificates"]
+    assert (entry["ok"], entry["over"]) == (False, 0)
+    assert entry["edge_pixels"] > entry["edge_cap"]
 
 
 # ---- the command
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a command left."""
-
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(run: Any) -> Any:
     """Run `whitted truth` in this process."""
-
-    def runs(*arguments: str | Path) -> Result:
-        arguments_ = ["truth", *map(str, arguments)]
-        monkeypatch.setattr(sys, "argv", ["whitted", *arguments_])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit_info:
-            cli.main(arguments_)
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        assert isinstance(exit_info.value.code, int)
-        return Result(exit_info.value.code, out, err)
-
-    return runs
+    return functools.partial(run, "truth")
 
 
 @pytest.fixture
@@ -502,15 +542,6 @@ def scene(tmp_path: Path) -> Path:
     path = tmp_path / "full.txt"
     path.write_text(doubles.FULL)
     return path
-
-
-def strict(path: Path) -> Any:
-    """JSON without the tokens that JSON does not have."""
-
-    def refuse(token: str) -> None:
-        raise AssertionError(f"{token} is not JSON")
-
-    return json.loads(path.read_text(), parse_constant=refuse)
 
 
 def test_pixels_one_by_one(run: Any, scene: Path) -> None:
@@ -528,6 +559,7 @@ def test_pixels_one_by_one(run: Any, scene: Path) -> None:
         assert abs(shown - ball.middle()) + fmpq(*ball.radius.as_integer_ratio()) <= fmpq(*error.as_integer_ratio())
     assert lines[6].startswith("  bits    ")
     assert "pixel 0 0" in lines
+    assert run(scene, "--at", "3", "4", "--at", "3", "4").out.count("pixel 3 4") == 1
     assert run(scene).out.count("pixel ") == 10
 
 
@@ -566,7 +598,7 @@ def test_the_json_is_strict_and_has_every_pixel(pixels: str, run: Any, scene: Pa
     options = ("--sample", "center", "--max-reflections", "1", "--shadow-epsilon", "0.01")
     result = run(tmp_path, "--pixels", pixels, *options, "--json", file)
     assert result.status == 0
-    record = strict(file)
+    record = strict(file.read_text())
     assert record["command"][:2] == ["whitted", "truth"]
     assert record["settings"] == {"sample": "center", "shadow_epsilon": 0.01, "max_reflections": 1, "threads": 0}
     assert "whitted" in record["versions"]
@@ -591,6 +623,7 @@ def test_the_proved_image_is_one_to_compare(ending: str, run: Any, scene: Path, 
     file = tmp_path / f"proved.{ending}"
     result = run(scene, "--size", "24x18", "--pixels", "all", "-o", file, "--jobs", "1")
     assert (result.status, result.err) == (0, "")
+    assert result.out.splitlines()[-1] == str(file)
     if ending in ("png", "ppm"):
         assert file.stat().st_size > 0
         return
@@ -616,7 +649,7 @@ def test_renderers_held_against_the_truth(run: Any, scene: Path, tmp_path: Path)
     assert "native-f32 against proved values" in result.out
     assert result.out.count(" holds ") == 2
     assert "2 of 2 certificates hold" in result.out
-    record = strict(file)
+    record = strict(file.read_text())
     assert record["ok"] is True
     assert (record["pixels"], record["edges"], record["seed"]) == (60, 9, 0)
     assert [entry["renderer"] for entry in record["certificates"]] == ["native-f64", "native-f32"]
@@ -625,13 +658,12 @@ def test_renderers_held_against_the_truth(run: Any, scene: Path, tmp_path: Path)
     assert {entry["pass"] for entry in first["passes"]} == set(names(2, margins=False))
 
 
-def test_a_renderer_that_is_wrong(run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_renderer_that_is_wrong(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
     def plant(arrays: doubles.Arrays) -> None:
         arrays["depth"][20, 30] += 0.25
         arrays["beauty"][2, 2] = np.nan
 
-    found = {"double": Double(draw=with_arrays(plant)), "native-f64": renderers.get("native-f64")}
-    monkeypatch.setattr(renderers, "registry", lambda: Registry(found, {}))
+    registered(Double(draw=with_arrays(plant)))
     file = tmp_path / "c.json"
     result = run(scene, "--renderer", "double,native-f64", "--pixels", "all", "--edges", "0", "--json", file)
     assert result.status == 1
@@ -639,7 +671,11 @@ def test_a_renderer_that_is_wrong(run: Any, scene: Path, tmp_path: Path, monkeyp
     assert "depth (double): pixel x 30, y 20: " in result.out
     assert "beauty (double): pixel x 2, y 2 R: nan, exact is " in result.out
     assert "1 of 2 certificates hold" in result.out
-    record = strict(file)
+    assert result.out.count(f"\n  hint: whitted explain {scene} ") == 1
+    x, y = result.out.partition(f"  hint: whitted explain {scene} ")[2].split()[:2]
+    assert (int(x), int(y)) in [(30, 20), (2, 2)]
+    assert f"explain {scene} {x} {y} --renderer double\n" in result.out
+    record = strict(file.read_text())
     assert [entry["ok"] for entry in record["certificates"]] == [False, True]
     assert len(record["certificates"][0]["misses"]) == 2
 
@@ -656,19 +692,19 @@ def test_scenes_that_cannot_be_drawn(run: Any, tmp_path: Path) -> None:
 
 #: The command line (SCENE stands for a scene file), what its error says, and what its hint says.
 WRONG = {
-    "no pixel": ("SCENE --pixels 0", "'0' is not a number of pixels from 1 on, or 'all'", "see `whitted truth --help`"),
-    "negative": ("SCENE --pixels -1", "'-1' is not a number of pixels from 1 on, or 'all'", "see `whitted truth"),
-    "a word": ("SCENE --pixels x", "'x' is not a number of pixels", "see `whitted truth --help`"),
-    "a part": ("SCENE --pixels 1.5", "'1.5' is not a number of pixels", "see `whitted truth --help`"),
-    "digits": ("SCENE --pixels ٣", "'٣' is not a number of pixels", "see `whitted truth --help`"),
+    "no pixel": ("SCENE --pixels 0", "'0' is not a number of pixels from 1 on, or 'all'", "--pixels all every one"),
+    "negative": ("SCENE --pixels -1", "'-1' is not a number of pixels from 1 on, or 'all'", "--pixels all every one"),
+    "a word": ("SCENE --pixels x", "'x' is not a number of pixels", "--pixels all every one"),
+    "a part": ("SCENE --pixels 1.5", "'1.5' is not a number of pixels", "--pixels all every one"),
+    "digits": ("SCENE --pixels ٣", "'٣' is not a number of pixels", "--pixels all every one"),
     "edges": ("SCENE --edges 5", "--edges is for holding renderers", "--renderer NAME"),
     "negative edges": (
         "SCENE --renderer native-f64 --edges -5",
-        "-5 is not in the range",
+        "--edges: '-5' is not a whole number from 0 on",
         "see `whitted truth --help`",
     ),
-    "seed": ("SCENE --seed -1", "-1 is not in the range", "see `whitted truth --help`"),
-    "jobs": ("SCENE --jobs 0", "0 is not in the range", "see `whitted truth --help`"),
+    "seed": ("SCENE --seed -1", "'-1' is not a whole number from 0 on", "see `whitted truth --help`"),
+    "jobs": ("SCENE --jobs 0", "'0' is not a whole number from 1 to 1024", "see `whitted truth --help`"),
     "renderer": ("SCENE --renderer nativ-f64", "unknown renderer 'nativ-f64'", "did you mean 'native-f64'?"),
     "no scene": ("", "missing argument 'SCENE_OR_FOLDER...'", "see `whitted truth --help`"),
     "no file": ("nowhere.txt", "nowhere.txt: error: no such file or folder", ""),
@@ -677,7 +713,10 @@ WRONG = {
     "output and renderer": ("SCENE -o x.npz --renderer native-f64", "--output is for proving alone", "leave out"),
     "no column": ("SCENE --at 64 0", "full.txt has no pixel 64 0", "columns are 0 to 63 from the left, rows 0 to 47"),
     "no row": ("SCENE --at 0 48", "full.txt has no pixel 0 48", "rows 0 to 47 from the top"),
-    "negative column": ("SCENE --at -1 0", "-1 is not in the range", "see `whitted truth --help`"),
+    "negative column": ("SCENE --at -1 0", "'-1' is no column or row of an image", "--at X Y"),
+    "two words": ("SCENE --at a b", "--at: 'a' is no column or row of an image", "from 0 at the top left: --at X Y"),
+    "one number": ("SCENE --at 200", "--at: found fewer than two numbers", "a column and a row"),
+    "one number, an option": ("SCENE --at 200 --jobs", "'--jobs' is no column or row of an image", "--at X Y"),
     "half an image": ("SCENE -o x.npz --pixels 5", "x.npz would hold a whole image", "--pixels all proves every pixel"),
     "ending": ("SCENE -o x.jpg --pixels all", "unknown file ending '.jpg'", "expected .exr, .npz, .png or .ppm"),
     "two scenes": ("SCENE OTHER -o x.npz --pixels all", "x.npz holds one image, but there are 2", "name one scene"),
@@ -716,7 +755,10 @@ def test_a_pixel_that_cannot_be_proved(run: Any, scene: Path, monkeypatch: pytes
     monkeypatch.setattr(proofs, "prove", refuse)
     result = run(scene, "--json", tmp_path / "x.json")
     assert (result.status, result.out) == (3, "")
-    assert result.err == "error: pixel 1 2: 65536 bits are not enough\n  hint: --at proves other pixels\n"
+    assert (
+        result.err
+        == "error: truth could not be had: pixel 1 2: 65536 bits are not enough\n  hint: --at proves other pixels\n"
+    )
     assert not (tmp_path / "x.json").exists()
 
 
@@ -732,7 +774,8 @@ def test_help_shows_examples_and_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_ended_from_outside_it_leaves_nothing(end: signal.Signals, tmp_path: Path) -> None:
+def test_ended_from_outside_it_leaves_nothing(end: signal.Signals, tmp_path: Path, need: Any) -> None:
+    need(Path("/proc/self/task").exists(), "no /proc that names the children of a process")
     endless = tmp_path / "endless.txt"
     endless.write_text(doubles.FULL.replace("RES 64 48", "RES 1000 750"))
     words = ["truth", str(endless), "--pixels", "all", "--jobs", "2"]
@@ -744,8 +787,6 @@ def test_ended_from_outside_it_leaves_nothing(end: signal.Signals, tmp_path: Pat
         start_new_session=True,
     ) as process:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-        if not children.exists():
-            pytest.skip("no /proc")
         deadline = time.monotonic() + 60
         while len(children.read_text().split()) < 3 and time.monotonic() < deadline:  # the tracker and two workers
             time.sleep(0.05)
@@ -778,3 +819,16 @@ def test_interrupted_it_leaves_no_file(run: Any, scene: Path, tmp_path: Path, mo
     monkeypatch.setattr(proofs, "pixel_record", interrupt)
     assert run(scene, "--json", tmp_path / "r.json") == Result(130, "", "\ninterrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["full.txt"]
+
+
+def test_wrong_pixels_of_a_renderer_that_holds_are_accounted_for(run: Any) -> None:
+    words = ("--size", "60x60", "--pixels", "all", "--edges", "0")
+    result = run(FOLDER / "spec" / "touching-spheres.txt", "--renderer", "native-f32", *words)
+    assert result.status == 0
+    assert " holds " in result.out
+    told = (
+        "holds though some are wrong: their decisions are nearer, below 64 u or 1 uncertainty, than it claims to tell"
+    )
+    assert f"\n{told}\n" in result.out
+    other = run(FOLDER / "spec" / "touching-spheres.txt", "--renderer", "native-f64", *words)
+    assert "though some are wrong" not in other.out

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
-import json
 import os
 import signal
 import struct
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import doubles
 import numpy as np
 import pytest
+from conftest import Result, strict
 from doubles import KEYS, Double, with_arrays
 from PIL import Image
 from rich.console import Console
@@ -25,37 +24,11 @@ from rich.console import Console
 import validation.__main__ as program
 from tracer import _native
 from tracer.passes import SAMPLES, Passes
-from validation import cli, options, renderers, terminal
+from validation import cli, options, terminal
 from validation.compare import Comparison
-from validation.renderers import Registry, Settings, Uncertainty
-from validation.run import Validation
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a command left."""
-
-    status: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Run `whitted` in this process."""
-
-    def runs(*arguments: str | Path) -> Result:
-        words = [str(argument) for argument in arguments]
-        monkeypatch.setattr(sys, "argv", ["whitted", *words])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit_info:
-            cli.main(words)
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        assert isinstance(exit_info.value.code, int)
-        return Result(exit_info.value.code, out, err)
-
-    return runs
+from validation.renderers import Settings, Uncertainty
+from validation.renderers.native import Native
+from validation.run import MOST_VERDICTS, Validation
 
 
 @pytest.fixture
@@ -66,29 +39,8 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def registered(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Add renderers to those that there are."""
-
-    def register(*extra: Any, failures: dict[str, str] | None = None) -> None:
-        found = renderers.registry()
-        names = {**found.renderers, **{entry.name: entry for entry in extra}}
-        monkeypatch.setattr(renderers, "registry", lambda: Registry(names, failures or {}))
-
-    return register
-
-
 def one_pixel(arrays: doubles.Arrays) -> None:
     arrays["beauty"][20, 30, 1] += 0.25
-
-
-def strict(text: str) -> Any:
-    """JSON without the tokens that JSON does not have."""
-
-    def refuse(token: str) -> None:
-        raise AssertionError(f"{token} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 NATIVE = ("--renderer", "native-f64", "--against", "numpy-f64")
@@ -243,6 +195,78 @@ def test_validate_writes_a_report_and_says_where(run: Any, scene: Path, tmp_path
     assert [entry.name for entry in (tmp_path / "deep" / "report").iterdir()] == ["index.html"], "nothing else is left"
 
 
+@pytest.fixture
+def dotted(registered: Any) -> None:
+    """A renderer that is wrong at eight pixels, and at one of them the other one is, too."""
+
+    def dots(arrays: doubles.Arrays) -> None:
+        arrays["beauty"][20, 20:28, 1] += 0.25
+
+    def dot(arrays: doubles.Arrays) -> None:
+        arrays["beauty"][20, 20, 0] += 0.25
+
+    registered(Double(draw=with_arrays(dots)), Double(name="other", draw=with_arrays(dot)))
+
+
+DOTTED = ("--renderer", "double", "--passes", "beauty")
+
+
+def test_of_many_differing_pixels_a_sample_is_judged(run: Any, scene: Path, dotted: None, tmp_path: Path) -> None:
+    del dotted
+    file = tmp_path / "r.json"
+    result = run("validate", scene, *DOTTED, "--against", "native-f64", "--verdicts", 3, "--json", file)
+    assert result.status == 1
+    assert "8 pixels differ, 3 of them judged, chosen at random" in result.out
+    assert "0 of 1 comparisons agree, at least 3 pixels without an excuse" in result.out
+    (judged,) = strict(file.read_text())["verdicts"]
+    assert (judged["differ"], judged["judged"]) == (8, 3)
+    every = run("validate", scene, *DOTTED, "--against", "native-f64", "--verdicts", 8)
+    assert "(double, native-f64): 8 pixels differ\n" in every.out
+    assert "0 of 1 comparisons agree, 8 pixels without an excuse" in every.out
+
+
+def test_none_of_them_may_be_judged(run: Any, scene: Path, dotted: None) -> None:
+    del dotted
+    result = run("validate", scene, *DOTTED, "--against", "native-f64", "--verdicts", 0)
+    assert result.status == 1
+    assert "8 pixels differ, none of them judged" in result.out
+    assert result.out.endswith("\n0 of 1 comparisons agree\n")
+
+
+def test_a_pixel_in_two_groups_is_one(run: Any, scene: Path, dotted: None) -> None:
+    del dotted
+    result = run("validate", scene, *DOTTED, "--against", "other")
+    assert "(double, other): 8 pixels differ\n" in result.out
+    assert "(1 pixel, at which both are off, is in two of these lines)" in result.out
+    assert ", 8 pixels without an excuse" in result.out
+
+
+def test_of_a_file_that_is_no_scene_the_beginning_is_told(run: Any, tmp_path: Path) -> None:
+    text = tmp_path / "novel.txt"
+    for lines in (30, 150):  # the parser itself counts no further than 100
+        text.write_text("once upon a time\n" * lines)
+        result = run("validate", text, *NATIVE)
+        assert result.status == 2
+        assert result.err.count(": error: found 'once'") == cli.MOST_ERRORS
+        counted = result.err.splitlines()[-1]
+        assert counted.startswith(f"{text}: error: and ")
+        assert int(counted.split()[-2]) > lines - cli.MOST_ERRORS, "what is missing is counted, too"
+
+
+def test_a_report_that_is_not_written_leaves_no_folder(
+    run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    (tmp_path / "old").mkdir()
+    monkeypatch.setattr(Native, "render", interrupt)
+    for folder in ("new", "deep/er", "old", "old/new"):
+        assert run("validate", scene, *NATIVE, "--report", tmp_path / folder).status == 130
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full.txt", "old"]
+    assert not list((tmp_path / "old").iterdir())
+
+
 #: The command line (SCENE stands for a scene file), what its error says, and what its hint says.
 WRONG = {
     "no command": ("bogus", "unknown command 'bogus'", "see `whitted --help`"),
@@ -259,9 +283,9 @@ WRONG = {
     "sample": ("validate SCENE --sample middle", "'middle' is not one of", "see `whitted"),
     "epsilon": ("validate SCENE --shadow-epsilon nan", "nan", "see `whitted"),
     "epsilon of one": ("validate SCENE --shadow-epsilon 1", "1.0 is not a number from 0 to below 1", "see `whitted"),
-    "reflections": ("validate SCENE --max-reflections -1", "-1 is not in the range", "see `whitted"),
-    "threads": ("validate SCENE --threads 1025", "1025 is not in the range", "see `whitted"),
-    "threads of render": ("render SCENE -o x.npz --threads 5000", "5000 is not in the range", "see `whitted"),
+    "reflections": ("validate SCENE --max-reflections -1", "'-1' is not a whole number from 0 to 100", "see `whitted"),
+    "threads": ("validate SCENE --threads 1025", "'1025' is not a whole number from 0 to 1024", "see `whitted"),
+    "threads of render": ("render SCENE -o x.npz --threads 5000", "'5000' is not a whole number", "see `whitted"),
     "wide": ("validate SCENE --size 100001x1", "--size 100001x1: at most 100000 columns", "--no-limits allows more"),
     "wide render": ("render SCENE -o x.npz --size 1x100001", "at most 100000 columns", "--no-limits allows more"),
     "itself": (
@@ -269,6 +293,12 @@ WRONG = {
         "a renderer is not compared with itself: numpy-f64",
         "--against with another name",
     ),
+    "verdicts": ("validate SCENE --verdicts x", "--verdicts: 'x' is not a whole number from 0 on", "--verdicts 500"),
+    "negative verdicts": ("validate SCENE --verdicts -1", "'-1' is not a whole number", "--verdicts 0 none"),
+    "part of a verdict": ("validate SCENE --verdicts 1.5", "--verdicts: '1.5' is not a whole number", "--verdicts 500"),
+    "report to a file": ("validate SCENE --report SCENE", "full.txt is a file, expected a folder", "name a folder"),
+    "report in a file": ("validate SCENE --report SCENE/x", "full.txt/x: Not a directory", "name another folder"),
+    "report to sysfs": ("validate SCENE --report /sys/x/y", "--report: /sys/x/y: ", "name another folder"),
     "json to -": ("validate SCENE --json -", "'-' is not the name of a file to write", "name a file"),
     "json to sysfs": ("validate SCENE --json /sys/x.json", "/sys/x.json: ", "name a file in another folder"),
     "render to sysfs": ("render SCENE -o /sys/x.exr", "/sys/x.exr: ", "name a file in another folder"),
@@ -305,7 +335,7 @@ def test_what_is_wrong_is_said_in_one_sentence_with_a_hint(
     words, message, hint = WRONG[case]
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    result = run(*[scene if word == "SCENE" else word for word in words.split()])
+    result = run(*words.replace("SCENE", str(scene)).split())
     assert (result.status, result.out) == (2, "")
     lines = result.err.rstrip("\n").split("\n")
     assert message in lines[0]
@@ -334,6 +364,7 @@ def test_an_instruction_set_that_is_not_there(
 def test_the_samples_are_those_of_the_renderers() -> None:
     assert options.SAMPLES == SAMPLES
     assert options.MOST_THREADS == _native.MOST_THREADS
+    assert cli.MOST_VERDICTS == MOST_VERDICTS
 
 
 def test_renderers_lists_them(run: Any, registered: Any) -> None:
@@ -734,7 +765,7 @@ def test_a_narrow_terminal_shows_the_result(
         for name in ("mirrors", "a-longer-name-of-a-scene")
     ]
     monkeypatch.setattr(terminal, "console", lambda: Console(width=72))
-    terminal.print_validation(Validation(Settings(), agreeing), verbose=True)
+    terminal.print_validation(Validation(settings=Settings(), comparisons=agreeing), verbose=True)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines[:4])) <= 72
     assert lines[1].split()[:3] == ["scene", "result", "pass"]

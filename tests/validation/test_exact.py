@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from validation import exact
-from validation.exact import Lazy, TooLargeError, Tower, add, invert, multiply, negate, sign, subtract
+from validation.exact import Lazy, TooLargeError, Tower
 
 #: An expression: a rational, or ("+", a, b), ("-", a, b), ("*", a, b), ("/", a, b), ("sqrt", a).
 Tree: TypeAlias = Any
@@ -42,15 +42,15 @@ def element(tree: Tree, tower: Tower) -> exact.Element:
         return fmpq(tree.numerator, tree.denominator)
     if tree[0] == "sqrt":
         square = element(tree[1], tower)
-        if sign(square) < 0:
+        if tower.sign(square) < 0:
             raise ValueError("the root of a negative number")
-        return fmpq(0) if sign(square) == 0 else tower.sqrt(square)
+        return fmpq(0) if tower.sign(square) == 0 else tower.sqrt(square)
     a, b = element(tree[1], tower), element(tree[2], tower)
     operations: dict[str, Callable[[], exact.Element]] = {
-        "+": lambda: add(a, b),
-        "-": lambda: subtract(a, b),
-        "*": lambda: multiply(a, b),
-        "/": lambda: multiply(a, invert(b)),
+        "+": lambda: tower.add(a, b),
+        "-": lambda: tower.subtract(a, b),
+        "*": lambda: tower.multiply(a, b),
+        "/": lambda: tower.multiply(a, tower.invert(b)),
     }
     return operations[tree[0]]()
 
@@ -94,7 +94,7 @@ def trees() -> st.SearchStrategy[Tree]:
 def test_signs_are_those_of_200_digits(tree: Tree) -> None:
     tower = Tower()
     try:
-        found = sign(element(tree, tower))
+        found = tower.sign(element(tree, tower))
     except (ZeroDivisionError, ValueError):
         return
     with mpmath.workdps(DIGITS):
@@ -105,8 +105,9 @@ def test_signs_are_those_of_200_digits(tree: Tree) -> None:
 
 @given(trees())
 def test_lazy_numbers_have_the_same_signs_at_any_precision(tree: Tree) -> None:
+    tower = Tower()
     try:
-        expected = sign(element(tree, Tower()))
+        expected = tower.sign(element(tree, tower))
     except (ZeroDivisionError, ValueError):
         return
     before = ctx.prec
@@ -125,27 +126,27 @@ def test_the_field(a: Tree, b: Tree) -> None:
         x, y = element(a, tower), element(b, tower)
     except (ZeroDivisionError, ValueError):
         return
-    assert sign(subtract(add(x, y), add(y, x))) == 0
-    assert sign(subtract(multiply(x, y), multiply(y, x))) == 0
-    assert sign(add(x, negate(x))) == 0
-    assert sign(subtract(x, y)) == -sign(subtract(y, x))
-    assert sign(multiply(x, y)) == sign(x) * sign(y)
-    if sign(y):
-        assert sign(subtract(multiply(multiply(x, invert(y)), y), x)) == 0
+    assert tower.sign(tower.subtract(tower.add(x, y), tower.add(y, x))) == 0
+    assert tower.sign(tower.subtract(tower.multiply(x, y), tower.multiply(y, x))) == 0
+    assert tower.sign(tower.add(x, tower.negate(x))) == 0
+    assert tower.sign(tower.subtract(x, y)) == -tower.sign(tower.subtract(y, x))
+    assert tower.sign(tower.multiply(x, y)) == tower.sign(x) * tower.sign(y)
+    if tower.sign(y):
+        assert tower.sign(tower.subtract(tower.multiply(tower.multiply(x, tower.invert(y)), y), x)) == 0
 
 
 @given(rationals, rationals, st.integers(1, 30), st.integers(1, 30))
 def test_roots_of_perfect_squares_are_found_equal(a: Fraction, b: Fraction, m: int, n: int) -> None:
     """(a + b sqrt(m))^2 has the root |a + b sqrt(m)|, which the tower may write as a new root: the difference is 0."""
     tower = Tower()
-    base = add(fmpq(a.numerator, a.denominator), multiply(fmpq(b.numerator, b.denominator), root(tower, m)))
-    base = add(base, root(tower, n))
-    if sign(base) == 0:
+    base = tower.add(fmpq(a.numerator, a.denominator), tower.multiply(fmpq(b.numerator, b.denominator), root(tower, m)))
+    base = tower.add(base, root(tower, n))
+    if tower.sign(base) == 0:
         return
-    again = tower.sqrt(multiply(base, base))
-    size = base if sign(base) > 0 else negate(base)
-    assert sign(subtract(again, size)) == 0
-    assert sign(again) == 1
+    again = tower.sqrt(tower.multiply(base, base))
+    size = base if tower.sign(base) > 0 else tower.negate(base)
+    assert tower.sign(tower.subtract(again, size)) == 0
+    assert tower.sign(again) == 1
 
 
 def test_the_root_of_a_sum_of_roots() -> None:
@@ -153,41 +154,41 @@ def test_the_root_of_a_sum_of_roots() -> None:
     for order in ((2, 3, 6), (6, 3, 2), (3, 6, 2)):
         tower = Tower()
         roots = {square: root(tower, square) for square in order}
-        nested = tower.sqrt(add(fmpq(5), multiply(fmpq(2), roots[6])))
-        difference = subtract(nested, add(roots[2], roots[3]))
-        assert sign(difference) == 0
+        nested = tower.sqrt(tower.add(fmpq(5), tower.multiply(fmpq(2), roots[6])))
+        difference = tower.subtract(nested, tower.add(roots[2], roots[3]))
+        assert tower.sign(difference) == 0
         tiny = fmpq(1, 10**300)
-        assert sign(add(difference, tiny)) == 1
-        assert sign(subtract(difference, tiny)) == -1
+        assert tower.sign(tower.add(difference, tiny)) == 1
+        assert tower.sign(tower.subtract(difference, tiny)) == -1
 
 
 def test_a_root_that_depends_on_others() -> None:
     tower = Tower()
-    assert sign(subtract(multiply(root(tower, 2), root(tower, 3)), root(tower, 6))) == 0
-    assert sign(subtract(root(tower, 8), multiply(fmpq(2), root(tower, 2)))) == 0
+    assert tower.sign(tower.subtract(tower.multiply(root(tower, 2), root(tower, 3)), root(tower, 6))) == 0
+    assert tower.sign(tower.subtract(root(tower, 8), tower.multiply(fmpq(2), root(tower, 2)))) == 0
     # sqrt(2) + sqrt(5 - 2 sqrt(6)) = sqrt(3), and its inverse is that of sqrt(3).
-    inner = tower.sqrt(subtract(fmpq(5), multiply(fmpq(2), root(tower, 6))))
-    total = add(root(tower, 2), inner)
-    assert sign(subtract(total, root(tower, 3))) == 0
-    assert sign(subtract(multiply(fmpq(3), invert(total)), root(tower, 3))) == 0
+    inner = tower.sqrt(tower.subtract(fmpq(5), tower.multiply(fmpq(2), root(tower, 6))))
+    total = tower.add(root(tower, 2), inner)
+    assert tower.sign(tower.subtract(total, root(tower, 3))) == 0
+    assert tower.sign(tower.subtract(tower.multiply(fmpq(3), tower.invert(total)), root(tower, 3))) == 0
 
 
 def test_division_where_the_conjugate_is_zero() -> None:
     """The number sqrt(2) sqrt(3) + sqrt(6) is 2 sqrt(6), but a - b sqrt(D) of its form is 0: so is the norm."""
     tower = Tower()
-    product = multiply(root(tower, 2), root(tower, 3))
-    x = add(product, root(tower, 6))
+    product = tower.multiply(root(tower, 2), root(tower, 3))
+    x = tower.add(product, root(tower, 6))
     assert not isinstance(x, fmpq)
-    assert sign(exact._norm(x)) == 0
-    assert sign(x) == 1
-    assert sign(subtract(multiply(x, invert(x)), fmpq(1))) == 0
-    assert sign(subtract(multiply(x, x), fmpq(24))) == 0
-    zero = subtract(product, root(tower, 6))
+    assert tower.sign(tower.norm(x)) == 0
+    assert tower.sign(x) == 1
+    assert tower.sign(tower.subtract(tower.multiply(x, tower.invert(x)), fmpq(1))) == 0
+    assert tower.sign(tower.subtract(tower.multiply(x, x), fmpq(24))) == 0
+    zero = tower.subtract(product, root(tower, 6))
     assert not isinstance(zero, fmpq)
     with pytest.raises(ZeroDivisionError):
-        invert(zero)
+        tower.invert(zero)
     with pytest.raises(ZeroDivisionError):
-        invert(fmpq(0))
+        tower.invert(fmpq(0))
 
 
 def test_squares_are_no_new_roots() -> None:
@@ -198,21 +199,21 @@ def test_squares_are_no_new_roots() -> None:
     assert tower.roots == []
     first, second = root(tower, 7), root(tower, 7)
     assert len(tower.roots) == 1
-    assert sign(subtract(first, second)) == 0
+    assert tower.sign(tower.subtract(first, second)) == 0
 
 
 def test_the_root_of_what_is_zero_in_another_form() -> None:
     tower = Tower()
-    zero = subtract(multiply(root(tower, 2), root(tower, 3)), root(tower, 6))
-    assert sign(tower.sqrt(zero)) == 0
+    zero = tower.subtract(tower.multiply(root(tower, 2), root(tower, 3)), root(tower, 6))
+    assert tower.sign(tower.sqrt(zero)) == 0
 
 
 def test_numbers_that_nearly_agree() -> None:
     """Sums of roots that differ in the 40th digit only are told apart, by the ball and exactly."""
     tower = Tower()
     almost = fmpq(1414213562373095048801688724209698078569, 10**39)
-    assert sign(subtract(root(tower, 2), almost)) == 1
-    assert sign(subtract(root(tower, 2), almost + fmpq(1, 10**39))) == -1
+    assert tower.sign(tower.subtract(root(tower, 2), almost)) == 1
+    assert tower.sign(tower.subtract(root(tower, 2), almost + fmpq(1, 10**39))) == -1
     before = ctx.prec
     try:
         ctx.prec = 64
@@ -244,9 +245,32 @@ def test_what_would_grow_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -
     tower = Tower()
     long = fmpq(10**15 + 37, 10**14 + 31)
     with pytest.raises(TooLargeError):
-        multiply(long, long)
+        tower.multiply(long, long)
     number_ = Lazy.rational(tower, long) * Lazy.rational(tower, long) - Lazy.rational(tower, long * long)
     with pytest.raises(TooLargeError):
         number_.sign()
     monkeypatch.undo()
     assert number_.sign() == 0
+
+
+def test_work_ends_with_the_budget() -> None:
+    """The inverse of a sum of n roots takes four times as long with every root: without a budget 16 take hours."""
+    tower = Tower()
+    total: exact.Element = fmpq(0)
+    for square in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53):
+        total = tower.add(total, root(tower, square))
+    with pytest.raises(TooLargeError):
+        tower.invert(total)
+    # Nothing more after that, however little.
+    with pytest.raises(TooLargeError):
+        tower.add(fmpq(1), fmpq(1))
+    assert Tower().add(fmpq(1), fmpq(1)) == 2
+
+
+def test_a_sum_or_product_takes_what_its_bits_are() -> None:
+    tower = Tower(2 * exact.OPERATION + 4 + 8)
+    assert tower.multiply(fmpq(3), fmpq(5)) == 15
+    assert tower.add(fmpq(100), fmpq(100, 1)) == 200
+    assert tower.budget == 0
+    with pytest.raises(TooLargeError):
+        tower.negate(fmpq(1))

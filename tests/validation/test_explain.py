@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import random
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import doubles
 import numpy as np
 import pytest
+from conftest import strict
 from doubles import Double, with_arrays, with_scene
 from rich.console import Console
 
 import tracer
-from validation import cli, explain_text, renderers
+from validation import explain_text, renderers
 from validation.explain import Explanation, decision, evenness, explain, order
 from validation.explain_text import lines, show
-from validation.renderers import Registry, Settings, Uncertainty
+from validation.follow import KINDS, Key
+from validation.renderers import Settings, Uncertainty
 from validation.run import resized
-from validation.truth import KINDS, Ball, Key
+from validation.truth import Ball
 
 WIDTH = 100
 
@@ -51,15 +53,6 @@ OUTPUT plain.ppm
 def text_of(told: Explanation) -> str:
     """The page, with single blanks and without line ends."""
     return " ".join(" ".join(line for line, _ in lines(told)).split())
-
-
-def strict(text: str) -> Any:
-    """JSON without the tokens that JSON does not have."""
-
-    def refuse(token: str) -> None:
-        raise AssertionError(f"{token} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 def at(text: str, x: int = 2, y: int = 2, settings: Settings | None = None, *extra: Any) -> Explanation:
@@ -240,6 +233,12 @@ def test_equal_hits(scenes: dict[str, tracer.Scene]) -> None:
     assert "sphere 1 'large-last' and sphere 0 'small-first' are hit at exactly the same t" in text
     assert "of equal hits the sphere first in the file counts" in text
     assert "order 0 which is nearer" in text
+
+
+def test_what_is_even_has_no_margin_besides(scenes: dict[str, tracer.Scene]) -> None:
+    other = Double(draw=with_arrays(lambda a: a["id"].__setitem__((25, 9), 1)))
+    told = explain(resized(scenes["equal-hits"], (50, 50)), 9, 25, Settings(), [other])
+    assert "its order margin 0 is below the 7.1e-15 that it can tell" in text_of(told)
 
 
 def test_ties_stand_at_their_ray(scenes: dict[str, tracer.Scene]) -> None:
@@ -570,31 +569,10 @@ def test_the_order_of_computation() -> None:
 # ---- the command
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a command left."""
-
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def run(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(run: Any) -> Any:
     """Run `whitted explain` in this process."""
-
-    def runs(*arguments: str | Path) -> Result:
-        words = ["explain", *map(str, arguments)]
-        monkeypatch.setattr(sys, "argv", ["whitted", *words])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit_info:
-            cli.main(words)
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        assert isinstance(exit_info.value.code, int)
-        return Result(exit_info.value.code, out, err)
-
-    return runs
+    return functools.partial(run, "explain")
 
 
 @pytest.fixture
@@ -605,13 +583,8 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "full.txt"
 
 
-def only(monkeypatch: pytest.MonkeyPatch, *those: Any) -> None:
-    """There are no other renderers."""
-    monkeypatch.setattr(renderers, "registry", lambda: Registry({entry.name: entry for entry in those}, {}))
-
-
-def test_the_command_shows_all_renderers(run: Any, scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(monkeypatch, Double(), Double(name="absent", absent="get it"), Double("odd", changed("id", lambda _: 1)))
+def test_the_command_shows_all_renderers(run: Any, scene: str, registered: Any) -> None:
+    registered(Double(), Double(name="absent", absent="get it"), Double("odd", changed("id", lambda _: 1)), alone=True)
     result = run(scene, X, Y)
     assert (result.status, result.err) == (0, "")
     assert result.out.startswith("full.txt, 64x48\n")
@@ -635,12 +608,29 @@ def test_the_command_writes_strict_json(run: Any, scene: str, tmp_path: Path) ->
     assert f"x {X}, y {Y}" in result.out
 
 
-def test_a_renderer_that_fails_is_status_3(run: Any, scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(monkeypatch, Double(draw=breaks))
+def test_a_renderer_that_fails_is_status_3(run: Any, scene: str, registered: Any) -> None:
+    registered(Double(draw=breaks), alone=True)
     result = run(scene, X, Y)
     assert result.status == 3
     assert "PRIMARY RAY" in result.out
     assert "double failed: ValueError: lost" in result.out
+
+
+def test_where_nobody_asked_for_draws_it_is_said(run: Any, scene: str, registered: Any) -> None:
+    registered(Double(name="slow", limit=768), Double(name="absent", absent="get it"))
+    result = run(scene, X, Y, "--renderer", "slow", "--json", "pixel.json")
+    assert result.status == 3
+    assert "PRIMARY RAY" in result.out, "truth is there nonetheless"
+    assert result.err == (
+        "error: slow would take too long at 64x48: it draws up to 768 pixels of this scene\n"
+        "  hint: --size 32x24 is small enough; the columns and rows are then others\n"
+    )
+    assert strict(Path("pixel.json").read_text())["renderers"][0]["drawn"] is False
+    both = run(scene, X, Y, "--renderer", "absent,slow")
+    assert both.status == 3
+    assert both.err.startswith("error: absent is not available: get it; slow would take too long")
+    assert run(scene, X, Y, "--renderer", "slow,native-f64").status == 0
+    assert run(scene, 10, 10, "--renderer", "slow", "--size", "32x24").status == 0
 
 
 @pytest.mark.parametrize(
@@ -649,15 +639,15 @@ def test_a_renderer_that_fails_is_status_3(run: Any, scene: str, monkeypatch: py
         ("full.txt 64 0", "full.txt has no pixel 64 0", "columns are 0 to 63 from the left, rows 0 to 47 from the top"),
         ("full.txt 0 48", "full.txt has no pixel 0 48", "columns are 0 to 63"),
         ("full.txt 30 20 --size 20x30", "full.txt has no pixel 30 20", "columns are 0 to 19"),
-        ("full.txt -1 0", "'-1' is no column or row of an image", "both count from 0 at the top left"),
-        ("full.txt 1.5 0", "X: '1.5' is not the number of a column", "whitted explain SCENE X Y"),
-        ("full.txt 1 two", "Y: 'two' is not the number of a row", "whitted explain SCENE X Y"),
-        ("full.txt other.txt 1 2", "X: 'other.txt' is not the number of a column", "one scene"),
+        ("full.txt -1 0", "'-1' is no column or row of an image", "from 0 at the top left: whitted explain SCENE X Y"),
+        ("full.txt 1.5 0", "X: '1.5' is no column or row of an image", "whitted explain SCENE X Y"),
+        ("full.txt 1 two", "Y: 'two' is no column or row of an image", "whitted explain SCENE X Y"),
+        ("full.txt other.txt 1 2", "X: 'other.txt' is no column or row of an image", "one scene"),
         ("full.txt 1 2 3", "'3' is one word too many", "one pixel at a time"),
         ("full.txt 1", "missing argument 'Y'", "whitted explain --help"),
         ("full.txt 1 2 --renderer native-f46", "unknown renderer 'native-f46'", "did you mean 'native-f64'?"),
         ("full.txt 1 2 --json no/where.json", "no/where.json: there is no folder no", "mkdir -p no"),
-        ("full.txt 1 2 --threads -1", "invalid value for '--threads'", "whitted explain --help"),
+        ("full.txt 1 2 --threads -1", "--threads: '-1' is not a whole number", "whitted explain --help"),
     ],
 )
 def test_wrong_words(words: str, message: str, hint: str, run: Any, scene: str) -> None:
@@ -714,3 +704,15 @@ def test_powers_too_small_for_any_float_are_0() -> None:
         assert [show(ball) for ball in seen.specular] == ["0", "0", "0"]
         strict(json.dumps(told.record(), allow_nan=False))
         assert max(len(line) for line, _ in lines(told)) <= WIDTH
+
+
+def test_rules_that_fail_are_a_failure_of_the_renderer(run: Any, scene: str, registered: Any) -> None:
+    class Ruled(Double):
+        def rules(self, *_: Any) -> Any:
+            raise KeyError("lost")
+
+    registered(Ruled("odd", changed("id", lambda _: 1)))
+    result = run(scene, X, Y, "--renderer", "odd")
+    assert (result.status, result.err) == (3, "")
+    assert "first difference: id: odd says sphere 1 'egg'" in result.out
+    assert "No verdict: its rules: failed: KeyError: 'lost'." in result.out

@@ -15,7 +15,8 @@ from flint import fmpq
 import tracer
 from tracer import View
 from validation.flips import Flip, both, changed, flipped, flips, sensitivity
-from validation.truth import KINDS, Key, Prover
+from validation.follow import KINDS, Key
+from validation.truth import Prover
 
 #: A change so small that what is of second order is beyond the 10th digit.
 TINY = fmpq(1, 1 << 60)

@@ -23,7 +23,8 @@ from tracer.margins import Analysis, analyse
 from tracer.motion import NEAR
 from tracer.passes import MARGINS
 from validation.flips import Flip, changed, flips, sensitivity
-from validation.truth import Key, Prover, Truth, rational
+from validation.follow import Key, rational
+from validation.truth import Prover, Truth
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tracer"))
 import scene_zoo as zoo

@@ -411,6 +411,7 @@ def test_why_pixels_differ_comes_first(judged: tuple[Rendered, str]) -> None:
         "✓ within both claims",
     ]
     assert "40 pixels of 1 scene are over tolerance. 25 of them, a random sample" in Page(text).text
+    assert "1 pixel, at which both are off, is in two rows." in Page(text).text
 
 
 def test_many_reasons_are_folded_up(tmp_path: Path) -> None:
@@ -638,7 +639,12 @@ def test_the_headline_says_all_that_happened() -> None:
         pixels = [Verdict(0, 0, ("id",), truth, finding("a", cause), Finding("b"), edge=True) for cause in causes]
         verdicts = [Verdicts("s", "a", "b", len(pixels) + sampled, pixels)]
         return headline(
-            Validation(Settings(), found, failures=[Note("s", "a", "failed")] * failures, verdicts=verdicts)
+            Validation(
+                settings=Settings(),
+                comparisons=found,
+                failures=[Note("s", "a", "failed")] * failures,
+                verdicts=verdicts,
+            )
         )
 
     assert of(8, 0, 0) == "All 8 comparisons agree"
@@ -647,7 +653,13 @@ def test_the_headline_says_all_that_happened() -> None:
     assert of(7, 1, 1) == "1 of 8 comparisons differ, and there was 1 failure"
     assert of(8, 0, 2) == "All 8 comparisons agree, but there were 2 failures"
     assert of(0, 0, 1) == "Nothing was compared"
-    assert of(8, 0, 0, "rounding", "rule", "tie", sampled=True) == "All 8 comparisons agree"
+    assert of(8, 0, 0, "rounding", "rule", "tie", sampled=True) == (
+        "All 8 comparisons agree within tolerance; 4 edge pixels differ, the 3 judged are explained"
+    )
+    both_true = "agrees within tolerance; 1 edge pixel differs and is explained"
+    assert of(1, 0, 0, "tie") == f"The only comparison {both_true}"
+    assert of(1, 0, 1, "tie") == f"The only comparison {both_true}, but there was 1 failure"
+    assert of(8, 0, 0, sampled=True) == "All 8 comparisons agree within tolerance; 1 edge pixel differs"
     assert of(8, 0, 0, "unexplained") == "All 8 comparisons agree, but 1 pixel is unexplained"
     assert of(8, 0, 0, "mistake", "mistake") == "All 8 comparisons agree, but 2 pixels are wrong"
     both = "unexplained", "unexplained", "mistake"

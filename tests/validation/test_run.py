@@ -12,7 +12,7 @@ from doubles import Double
 import validation
 from tracer.passes import Passes
 from validation import Settings, run, validate
-from validation.run import Note, SceneFilesError, load_scenes, resized, scene_files, shrink
+from validation.run import InputError, Note, SceneFilesError, load_scenes, resized, scene_files, shrink
 
 
 def test_scene_files_are_sorted_and_named_once(tmp_path: Path) -> None:
@@ -181,6 +181,16 @@ def test_the_face_of_the_package() -> None:
         assert getattr(validation, name) is not None
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = validation.nothing
+
+
+def test_wrong_input_at_two_sizes_is_one_failure() -> None:
+    def large(*_: Any) -> Passes:
+        raise InputError("too large")
+
+    slow = Double(name="slow", limit=768, quick=("id", "depth"), draw=large)
+    result = validate({"full": doubles.full()}, slow, "numpy-f64")
+    assert slow.rendered == [(64, 48), (32, 24)]
+    assert (result.status, result.wrong_input, len(result.failures)) == (2, 1, 1)
 
 
 def test_wrong_input_is_no_failure_of_a_renderer() -> None:

@@ -12,11 +12,12 @@ import functools
 import itertools
 import math
 import pickle
+import re
 import subprocess
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ import tracer.errors
 import tracer.reference
 from tracer import Light, Scene, Sphere, View
 from tracer.passes import SAMPLES, names, quantise
+from validation.follow import Follower
 from validation.renderers import Settings
+from validation.rules import MISTAKES
 from validation.truth import Ball, Prover, Truth, prove
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -675,11 +678,52 @@ def test_mirrors_that_touch() -> None:
     assert any(tie.settled for tie in truth.ties)
 
 
+def chained(max_reflections: int) -> Truth:
+    """Two spheres that a ray hits at the same point by symmetry, behind three mirrors one after the other."""
+    places: list[tuple[Vec3, Vec3]] = [
+        ((0, 2.1, -5.2), (2.8, 1.7, 2)),
+        ((0, -0.6, 5.1), (2.6, 2.1, 2.2)),
+        ((0, 2.4, -6.5), (2.6, 2.6, 2.2)),
+        ((0, -1.5, 5.6), (4, 2.7, 2.8)),
+        ((-0.7, 4, 1.3), (1.3, 1.1, 1.2)),
+        ((0.7, 4, 1.3), (1.3, 1.1, 1.2)),
+    ]
+    spheres = [ball(position, scaling, ka=0.1, kr=0.5) for position, scaling in places]
+    view = View(near=1, left=-1, right=1, bottom=-1, top=1, columns=16, rows=16)
+    return Prover(Scene(view=view, spheres=spheres, limits=False), Settings(max_reflections=max_reflections)).pixel(
+        8, 4
+    )
+
+
+def test_a_pixel_whose_ties_take_too_much_work_is_not_proved() -> None:
+    # Where both spheres are left together, the other's root at the start is known exactly only four roots deep.
+    truth = chained(3)
+    assert [(tie.key.what, tie.key.bounce) for tie in truth.ties] == [("order", 2), ("start", 3)]
+    assert all(tie.proved for tie in truth.ties)
+    truth = chained(8)
+    assert not all(tie.proved for tie in truth.ties)
+    assert all(math.isfinite(value.value) for value in truth.values["beauty"])
+
+
 def test_the_reflection_at_a_tangent_runs_straight_on() -> None:
     # d.N = 0: the ray goes on to the wall behind, five units after the touching point (12, 0, -16).
     wall = ball((18, 0, -24), 5, ka=1)
     truth = one([ball((0, 0, -25), 15, kr=0.5), wall], ray=(0.75, 0, -1), ambient=(1, 1, 1))
     holds(truth, id=0, depth=20, reflection_1=Fraction(1, 2))
+
+
+@pytest.mark.parametrize("kd", [0, 0.75])
+def test_a_highlight_that_fades_with_n_dot_l_does_so_without_a_diffuse_term(kd: float) -> None:
+    # N = (3, 0, 4) / 5, L = (24, 0, 7) / 25: N.L = 4/5.
+    view = View(near=1, left=0.5, right=1.5, bottom=-1, top=0, columns=1, rows=1)
+    scene = Scene(view=view, spheres=[ball((0, 0, -10), (-5, 1, 5), kd=kd, ks=1)], lights=[lamp(27, 0, 1)])
+    fading = next(rule.follower for rule in MISTAKES if rule.says == "multiplies the highlight by N.L")
+    plain, faded = (Prover(scene, follower=follower).pixel(0, 0) for follower in (Follower, fading))
+    for full, less in zip(plain.values["specular"], faded.values["specular"], strict=True):
+        low, high = (Fraction(4, 5) * end for end in bounds(full))
+        assert low > 0
+        assert bounds(less)[0] <= high
+        assert low <= bounds(less)[1]
 
 
 def test_balls() -> None:
@@ -1081,3 +1125,27 @@ def test_proving_loads_no_renderer() -> None:
     }
     assert not loaded & forbidden
     assert not [name for name in loaded if name.startswith("validation.renderers.")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"sample": "centre"}, f"sample is 'centre', expected one of {str(SAMPLES)[1:-1]}"),
+        ({"shadow_epsilon": 1}, "shadow_epsilon is 1, expected 0 <= shadow_epsilon < 1"),
+        ({"shadow_epsilon": -1e-4}, "shadow_epsilon is -0.0001, expected 0 <= shadow_epsilon < 1"),
+        ({"shadow_epsilon": math.nan}, "shadow_epsilon is nan, expected 0 <= shadow_epsilon < 1"),
+        ({"max_reflections": -1}, "max_reflections is -1, expected 0 or more"),
+        ({"threads": -1}, "threads is -1, expected 0 or more"),
+    ],
+)
+def test_the_judge_is_never_asked_for_settings_that_no_renderer_takes(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}$"):
+        Settings(**changes)
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}$"):
+        replace(Settings(), **changes)
+
+
+def test_settings_that_renderers_take() -> None:
+    for sample in SAMPLES:
+        assert Settings(sample, 0, 0).sample == sample
+    assert Settings(shadow_epsilon=math.nextafter(1, 0), max_reflections=1000, threads=1024).threads == 1024

@@ -26,12 +26,28 @@ PerPixel: TypeAlias = float | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Settings:
-    """What is rendered beyond the scene itself; every renderer of one comparison gets the same."""
+    """What is rendered beyond the scene itself; every renderer of one comparison gets the same.
+
+    Raises:
+        ValueError: no renderer can draw with that; the text says what is expected.
+    """
 
     sample: Sample = "corner"
     shadow_epsilon: float = 1e-4
     max_reflections: int = 3
     threads: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse here what not every renderer would refuse."""
+        from tracer.passes import SAMPLES
+
+        if self.sample not in SAMPLES:
+            raise ValueError(f"sample is {self.sample!r}, expected one of {', '.join(map(repr, SAMPLES))}")
+        if not 0 <= self.shadow_epsilon < 1:
+            raise ValueError(f"shadow_epsilon is {self.shadow_epsilon}, expected 0 <= shadow_epsilon < 1")
+        for name in ("max_reflections", "threads"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
 
 
 @dataclass(frozen=True)

@@ -283,11 +283,26 @@ def headline(result: Validation) -> str:
     else:
         text = "The only comparison agrees" if total == 1 else f"All {total} comparisons agree"
     more = [clause] if (clause := without_excuse(result.verdicts)) else []
+    if not failed and not more:
+        text += differing(result.verdicts)
     if result.failures:
         more.append(
             f"there {'was' if len(result.failures) == 1 else 'were'} {counted(len(result.failures), 'failure')}"
         )
     return text + f", {'and' if failed else 'but'} " * bool(more) + ", and ".join(more)
+
+
+def differing(several: Sequence[Verdicts]) -> str:
+    """What to add where comparisons agree, though pixels at edges differ, none of them without an excuse."""
+    differ, count = sum(of.differ for of in several), sum(len(of.verdicts) for of in several)
+    if not differ:
+        return ""
+    text = f" within tolerance; {counted(differ, 'edge pixel')} {'differs' if differ == 1 else 'differ'}"
+    if not count or not all(of.explained for of in several):
+        return text
+    if count < differ:
+        return f"{text}, the {count} judged {'is' if count == 1 else 'are'} explained"
+    return f"{text} and {'is' if differ == 1 else 'are'} explained"
 
 
 def judged(several: Sequence[Verdicts]) -> dict[str, int | bool]:
@@ -299,6 +314,7 @@ def judged(several: Sequence[Verdicts]) -> dict[str, int | bool]:
         "scenes": len({of.scene for of in several}),
         "count": len(verdicts),
         "sampled": differ > len(verdicts),
+        "both": sum(len(verdict.wrong) > 1 for verdict in verdicts),
         "all_on_edges": differ == len(verdicts) and all(verdict.edge for verdict in verdicts),
     }
 

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-import shlex
-import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-import tracer
 from tracer.passes import lookup
-from validation.renderers import Settings
+from validation.run import explain_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from tracer import Scene
-    from tracer.passes import Passes
     from validation.run import Rendered
     from validation.truth import Ball
     from validation.verdict import Finding, Group, Verdict, Verdicts
@@ -171,14 +166,8 @@ def view(rendered: Rendered, scene: str, zoom: int) -> VerdictsView | None:
     if verdicts is None or not verdicts.verdicts:
         return None
     groups = verdicts.groups()
-    options = _options(rendered)
     pair = verdicts.renderer, verdicts.reference
-    rows = {
-        id(verdict): _row(
-            verdict, scene, pair, rendered.scene, (rendered.renderer, rendered.reference), rendered.label, options
-        )
-        for verdict in verdicts.verdicts
-    }
+    rows = {id(verdict): _row(verdict, scene, pair, rendered) for verdict in verdicts.verdicts}
     marks = Counter(row.mark for row in rows.values())
     return VerdictsView(
         verdicts,
@@ -199,16 +188,9 @@ def _ordered(groups: Sequence[Group]) -> list[Verdict]:
     return [verdict for *_, verdict in sorted(places.values(), key=lambda entry: entry[:3])]
 
 
-def _row(
-    verdict: Verdict,
-    scene: str,
-    pair: tuple[str, str],
-    of: Scene,
-    drawn: tuple[Passes, Passes],
-    label: str,
-    options: Sequence[str],
-) -> Row:
+def _row(verdict: Verdict, scene: str, pair: tuple[str, str], rendered: Rendered) -> Row:
     """One pixel; the arrays are not needed any more."""
+    of, drawn = rendered.scene, (rendered.renderer, rendered.reference)
     name = "beauty" if "beauty" in verdict.passes else verdict.passes[0]
     balls = verdict.truth.values[name]
     sides = [np.atleast_1d(passes[name][verdict.y, verdict.x]).astype(np.float64).tolist() for passes in drawn]
@@ -219,8 +201,6 @@ def _row(
         _value(name, side[channel], balls[channel], of, off=name in finding.errors)
         for side, finding in zip(sides, verdict.findings, strict=True)
     ]
-    where = "-" if label == "<stdin>" else label
-    words = ["whitted", "explain", where, str(verdict.x), str(verdict.y), "--renderer", ",".join(pair), *options]
     return Row(
         f"{scene}-x{verdict.x}-y{verdict.y}",
         verdict,
@@ -229,7 +209,7 @@ def _row(
         lookup(name).channels[channel : channel + 1],
         _text(name, balls[channel].value, of),
         (values[0], values[1]),
-        shlex.join(words),
+        explain_command(rendered.label, of, rendered.settings, verdict.x, verdict.y, pair),
     )
 
 
@@ -258,29 +238,3 @@ def _value(name: str, value: float, exact: Ball, scene: Scene, *, off: bool) -> 
     else:
         told = f"{'off by' if off else 'error'} {error:.2g}"
     return Value(_text(name, value, scene), told, off)
-
-
-def _options(rendered: Rendered) -> list[str]:
-    """What `whitted explain` has to be told beside the scene, the pixel and the renderers to draw the same."""
-    settings, usual, view = rendered.settings, Settings(), rendered.scene.view
-    words: list[str] = []
-    if not _is_file(rendered.label, rendered.scene):
-        words += ["--size", f"{view.columns}x{view.rows}"]
-    for name in ("sample", "shadow_epsilon", "max_reflections"):
-        if getattr(settings, name) != getattr(usual, name):
-            words += [f"--{name.replace('_', '-')}", str(getattr(settings, name))]
-    try:
-        rendered.scene.replace(limits=True)
-    except tracer.SceneError:
-        words.append("--no-limits")
-    return words
-
-
-def _is_file(label: str, scene: Scene) -> bool:
-    """Whether a scene is drawn as its file has it, at the same size."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # its reader has warned already
-            return Path(label).is_file() and tracer.load(label, limits=False) == scene
-    except (OSError, ValueError):
-        return False

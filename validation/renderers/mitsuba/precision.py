@@ -37,10 +37,7 @@ ROOM = 2
 
 def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Uncertainty:
     """How far any picture of this scene may be off; `float32_roots`: whether the sphere routine works in float32."""
-    roundings = SPHERE_ROUNDINGS
-    ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
-    if ellipsoids:
-        roundings += INSTANCE_ROUNDINGS
+    ellipsoids, roundings = _roundings(scene)
     oblique: PerPixel = 0.0
     hits: PerPixel = 0.0
     undecided: PerPixel = 0.0
@@ -66,6 +63,20 @@ def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Unc
         unit=unit,
         absolute=floats.uncertainty("f32", scene, settings).absolute,
     )
+
+
+def _roundings(scene: Scene) -> tuple[bool, float]:
+    """Whether a scene has ellipsoids, which are instances, and the roundings of a decision."""
+    ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
+    return ellipsoids, SPHERE_ROUNDINGS + INSTANCE_ROUNDINGS * ellipsoids
+
+
+def _flat(lost: Any, size: Any, shortest: Any) -> Any:
+    """A chord inside a sphere with c^2 below this is too flat for float32.
+
+    `lost`: roundings; `size`: the distances of its ends from the eye, added; `shortest`: of the sphere's scalings.
+    """
+    return CHORD * lost * UNIT_ROUNDOFF * size / shortest
 
 
 def _window_inside(scene: Scene, settings: Settings) -> bool:
@@ -107,16 +118,15 @@ def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
                 facing = [np.flatnonzero((at.normal * (light - position)).sum(axis=0) > 0) for light in lights]
                 for light, lit in zip(lights, facing, strict=True):
                     _oblique(scene, part, x.pixel[lit], position[:, lit], (light - position)[:, lit])
-                # The discriminant of a chord is c^2; it moves by this times the size of what is between its ends.
                 scaling = tables.scaling[:, x.start]
-                error = CHORD * (roundings + GROWTH * part.oblique[x.pixel]) * UNIT_ROUNDOFF / scaling.min(axis=0)
+                lost, shortest = roundings + GROWTH * part.oblique[x.pixel], scaling.min(axis=0)
                 size = np.linalg.norm(position, axis=0)
                 for light, lit in zip(lights, facing, strict=True):
                     c = _cosine(x.point, (light - position) / scaling)
-                    lost = x.inside & (c**2 < error * (size + np.linalg.norm(light)))
-                    part.undecided[x.pixel[lit]] |= lost[lit]
+                    flat = x.inside & (c**2 < _flat(lost, size + np.linalg.norm(light), shortest))
+                    part.undecided[x.pixel[lit]] |= flat[lit]
                 c = _cosine(x.point, x.direction / scaling)
-                steep = np.where(c**2 < error * size, np.inf, 1 / c)
+                steep = np.where(c**2 < _flat(lost, size, shortest), np.inf, 1 / c)
                 mirrors = np.flatnonzero(x.inside & (tables.kr[x.start] > 0))
                 part.slope[x.pixel[mirrors]] = np.maximum(part.slope[x.pixel], steep)[mirrors]
         parts.append(part)
@@ -168,11 +178,11 @@ def fits_float32(scene: Scene) -> bool:
 
 def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[Rule]:
     """The rule by which Mitsuba decides on flat chords inside a sphere; docs/tolerances.md derives the bound."""
+    from validation.follow import Follower, Hit, Vector
     from validation.rules import Rule
-    from validation.truth import Follower, Hit, Prover, Vector
+    from validation.truth import Prover
 
-    ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
-    roundings: float = SPHERE_ROUNDINGS + (INSTANCE_ROUNDINGS if ellipsoids else 0)
+    _, roundings = _roundings(scene)
 
     class Flat(Follower):
         """A ray from the inside of a sphere whose discriminant c^2 is within the rounding of float32.
@@ -196,8 +206,7 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
                 length = math.hypot(*map(_about, direction))
                 speed = math.sqrt(_about(A)) * min(scaling) / length
                 lost += GROWTH * (_about(B) / math.sqrt(_about(A)) * (1 - speed)) ** 2
-            bound = CHORD * lost * UNIT_ROUNDOFF * size / min(scaling)
-            return _about(B) < 0 and _about(B) ** 2 < bound * _about(A)
+            return _about(B) < 0 and bool(_about(B) ** 2 < _flat(lost, size, min(scaling)) * _about(A))
 
         def nearest(
             self, relative: list[Any], direction: Vector, bounce: int, own: int, inside: bool
