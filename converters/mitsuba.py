@@ -17,6 +17,7 @@ What becomes of a scene:
 - The ambient term lights nothing and is hidden by nothing: Mitsuba has no such light. Every sphere that has it carries
   Ka times its colour as the shape attribute `ambient`; multiplied by the scene's ambient intensity it is the term.
   Where nothing reflects light at all, the reflectance of the `diffuse` says it too, and so does the AOV `albedo`.
+  `ambient_dict` is the scene with this term alone, by plugins of ours, in mirrors, too.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from converters.mitsuba_plugins import FRUSTUM, LIGHT_SCALE, PHONG, POINT, variant
+from converters.mitsuba_plugins import AMBIENT, EVERYWHERE, FRUSTUM, LIGHT_SCALE, PHONG, POINT, variant
+from tracer.passes import OFFSETS
 
 if TYPE_CHECKING:
     from tracer import Scene, Sphere, View
@@ -69,12 +71,11 @@ def window(view: View, sample: Sample = "corner") -> Window:
     Every sample position is a shift of the pixel centre; `inclusive` also stretches the pixels.
     """
     width, height = view.right - view.left, view.top - view.bottom
+    ox, oy = OFFSETS[sample]
     if sample == "inclusive":
         dx, dy = width / max(view.columns - 1, 1), height / max(view.rows - 1, 1)
-        ox = oy = 0.0
     else:
         dx, dy = width / view.columns, height / view.rows
-        ox, oy = {"corner": (0.0, 0.0), "center": (0.5, 0.5), "bottom-left": (0.0, 1.0)}[sample]
     left, top = view.left + (ox - 0.5) * dx, view.top - (oy - 0.5) * dy
     return Window(left, left + view.columns * dx, top - view.rows * dy, top)
 
@@ -276,6 +277,27 @@ def to_dict(
         **geometry(scene, max_reflections=max_reflections),
         **emitters,
     }
+
+
+def ambient_dict(scene: Scene, *, sample: Sample = "corner", max_reflections: int = 3) -> dict[str, Any]:
+    """The scene with its ambient term alone, at every hit of a chain of mirrors, for `path`.
+
+    For `mitsuba.load_dict`, with a variant set and the plugins registered.
+    """
+    described = to_dict(scene, sample=sample, max_reflections=max_reflections, light=None)
+    shapes: dict[str, Any] = {}
+    for name, shape in geometry(scene, max_reflections=max_reflections).items():
+        sphere = scene.spheres[int(name.partition("_")[2])]
+        bsdf: dict[str, Any] = {"type": AMBIENT, "diffuse": _rgb(sphere.color, sphere.ka)}
+        if sphere.kr and max_reflections > 0:
+            bsdf["mirror"] = sphere.kr
+        if "surface" in shape:
+            shapes[name] = shape | {"surface": shape["surface"] | {"bsdf": bsdf}}
+        else:
+            shapes[name] = shape | ({} if shape["type"] == "instance" else {"bsdf": bsdf})
+    light = {"type": EVERYWHERE, "intensity": _rgb(scene.ambient, LIGHT_SCALE)}
+    integrator = {"type": "path", "max_depth": max_reflections + 2, "rr_depth": max_reflections + 3}
+    return {"type": "scene", "integrator": integrator, "sensor": described["sensor"], **shapes, "light": light}
 
 
 def write_xml(

@@ -1,4 +1,4 @@
-"""What stock Mitsuba plugins cannot say: Phong's model with a mirror, a light without falloff, a frustum.
+"""What stock Mitsuba plugins cannot say: Phong's model with a mirror, lights without falloff, a frustum.
 
 Mitsuba's classes belong to a variant, so the plugins are made and registered for the variant that is set: call
 `register()` after every `mitsuba.set_variant`.
@@ -22,6 +22,8 @@ from typing import Any
 PHONG = "whitted_phong"
 POINT = "whitted_point"
 FRUSTUM = "whitted_frustum"
+AMBIENT = "whitted_ambient"
+EVERYWHERE = "whitted_everywhere"
 
 #: What a light of intensity 1 sends in Mitsuba's unit.
 LIGHT_SCALE = math.pi
@@ -38,10 +40,12 @@ def register() -> None:
     current = mi.variant()
     if current is None:
         raise RuntimeError("no variant of Mitsuba is set: call mitsuba.set_variant before register")
-    phong, point, frustum = _classes(current)
+    phong, point, frustum, ambient, everywhere = _classes(current)
     mi.register_bsdf(PHONG, phong)
     mi.register_emitter(POINT, point)
     mi.register_sensor(FRUSTUM, frustum)
+    mi.register_bsdf(AMBIENT, ambient)
+    mi.register_emitter(EVERYWHERE, everywhere)
 
 
 @contextlib.contextmanager
@@ -64,7 +68,7 @@ def variant(name: str) -> Iterator[None]:
 
 
 @functools.cache
-def _classes(name: str) -> tuple[Any, Any, Any]:
+def _classes(name: str) -> tuple[Any, Any, Any, Any, Any]:
     """The classes of one variant, whose bases belong to it."""
     import drjit as dr
     import mitsuba as mi
@@ -147,6 +151,55 @@ def _classes(name: str) -> tuple[Any, Any, Any]:
         def to_string(self) -> str:
             return f"{PHONG}[{self.diffuse}, {self.specular}, {self.exponent}, {self.mirror}]"
 
+    class Ambient(Phong):
+        """The ambient term in the light of `whitted_everywhere`, and the mirror: `diffuse` is Ka times the colour."""
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """The same from everywhere, on both sides."""
+            return dr.select(active, self.diffuse * dr.inv_pi, 0.0)
+
+    class Everywhere(mi.Emitter):  # type: ignore[misc]
+        """A light for the ambient term: of the same `intensity` everywhere, hidden by nothing."""
+
+        def __init__(self, props: Any) -> None:
+            mi.Emitter.__init__(self, props)
+            self.intensity = mi.Color3f(props["intensity"])
+            self.m_flags = +mi.EmitterFlags.DeltaPosition
+            dr.make_opaque(self.intensity)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            ds = mi.DirectionSample3f()
+            # It stands nowhere: no comparison lets a ray that leads there hit anything.
+            ds.p = mi.Point3f(math.nan)
+            ds.n = mi.Normal3f(0.0)
+            ds.uv = mi.Point2f(0.0)
+            ds.time = it.time
+            ds.pdf = mi.Float(1.0)
+            ds.delta = mi.Bool(True)
+            ds.d = mi.Vector3f(it.n)
+            ds.dist = mi.Float(1.0)
+            ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
+            return ds, dr.select(active, mi.Color3f(self.intensity), 0.0)
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Float(0.0)
+
+        def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Color3f(self.intensity)
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            """It is never hit."""
+            return mi.Color3f(0.0)
+
+        def bbox(self) -> Any:
+            return mi.ScalarBoundingBox3f(mi.ScalarPoint3f(0.0))
+
+        def traverse(self, cb: Any) -> None:
+            cb.put("intensity", self.intensity, mi.ParamFlags.Differentiable)
+
+        def to_string(self) -> str:
+            return f"{EVERYWHERE}[{self.intensity}]"
+
     class Point(mi.Emitter):  # type: ignore[misc]
         """A point light whose irradiance is `intensity` at any distance. Parameters: `position`, `intensity` (rgb)."""
 
@@ -226,4 +279,4 @@ def _classes(name: str) -> tuple[Any, Any, Any]:
         def to_string(self) -> str:
             return f"{FRUSTUM}[{self.corner}, {self.size}]"
 
-    return Phong, Point, Frustum
+    return Phong, Point, Frustum, Ambient, Everywhere

@@ -144,6 +144,7 @@ CENTRAL = (0.0, 0.0, -5.0)
         ("corner", [-1, -0.25, 0.5, 1.25], [1.5, 0.5]),
         ("center", [-0.625, 0.125, 0.875, 1.625], [1, 0]),
         ("bottom-left", [-1, -0.25, 0.5, 1.25], [0.5, -0.5]),
+        ("top-right", [-0.25, 0.5, 1.25, 2], [1.5, 0.5]),
         ("inclusive", [-1, 0, 1, 2], [1.5, -0.5]),
     ],
 )
@@ -160,7 +161,13 @@ def test_rays_of_every_sample_position(renderer: Renderer, sample: str, xs: list
 
 @pytest.mark.parametrize(
     ("sample", "direction"),
-    [("corner", (0.25, 0.75)), ("center", (0.5, 0.375)), ("bottom-left", (0.25, 0)), ("inclusive", (0.25, 0.75))],
+    [
+        ("corner", (0.25, 0.75)),
+        ("center", (0.5, 0.375)),
+        ("bottom-left", (0.25, 0)),
+        ("top-right", (0.75, 0.75)),
+        ("inclusive", (0.25, 0.75)),
+    ],
 )
 def test_one_pixel_has_a_ray_in_every_sample_position(
     renderer: Renderer, sample: str, direction: tuple[float, float]

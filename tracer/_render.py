@@ -64,13 +64,7 @@ def render(
     dtype = np.dtype(np.float64 if precision == "f64" else np.float32)
     targets = [(name, *_member(scene, name)) for name in names]
     view = scene.view
-    needed = sum(view.rows * view.columns * _pixel_size(name, dtype) for name in names)
-    installed = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if needed > installed:
-        raise MemoryError(
-            f"{len(names)} passes of {view.columns}x{view.rows} pixels need {needed} bytes, "
-            f"this machine has {installed}"
-        )
+    check_memory(names, view.columns, view.rows, dtype)
 
     arrays: dict[str, NDArray[Any]] = {}
     filled = []
@@ -84,6 +78,16 @@ def render(
     settings = {"sample": sample, "shadow_epsilon": repr(shadow_epsilon), "max_reflections": str(max_reflections)}
     made_by = {"renderer": f"native-{precision}", "instruction_set": _native.instruction_set()}
     return Passes(arrays, made_by | settings)
+
+
+def check_memory(names: Sequence[str], columns: int, rows: int, dtype: np.dtype[Any]) -> None:
+    """Raise MemoryError for passes of an image that need more memory than this machine has."""
+    needed = sum(rows * columns * _pixel_size(name, dtype) for name in names)
+    installed = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > installed:
+        passes = "1 pass" if len(names) == 1 else f"{len(names)} passes"
+        needs = f"need{'s' * (len(names) == 1)} {needed} bytes"
+        raise MemoryError(f"{passes} of {columns}x{rows} pixels {needs}, this machine has {installed}")
 
 
 def _integer(name: str, value: object) -> int:

@@ -20,8 +20,17 @@ from numpy.typing import NDArray
 
 Quantity = Literal["color", "visibility", "length", "position", "normal", "id", "margin"]
 Precision = Literal["f64", "f32"]
-Sample = Literal["corner", "center", "bottom-left", "inclusive"]
-SAMPLES: tuple[Sample, ...] = ("corner", "center", "bottom-left", "inclusive")
+Sample = Literal["corner", "center", "bottom-left", "top-right", "inclusive"]
+#: The sample point of a pixel, in pixels to the right of its top-left corner and below it; `inclusive` also stretches
+#: the grid, from the first to the last column and row.
+OFFSETS: dict[Sample, tuple[float, float]] = {
+    "corner": (0, 0),
+    "center": (0.5, 0.5),
+    "bottom-left": (0, 1),
+    "top-right": (1, 0),
+    "inclusive": (0, 0),
+}
+SAMPLES: tuple[Sample, ...] = tuple(OFFSETS)
 MARGINS = ("silhouette", "range", "order", "terminator")
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.passes import MARGINS, SAMPLES, Passes, Precision, Sample, lookup, names
+from tracer.passes import MARGINS, OFFSETS, SAMPLES, Passes, Precision, Sample, lookup, names
 
 if TYPE_CHECKING:
     from tracer import Scene, View
@@ -314,7 +314,7 @@ def illuminate(
 
 def eye_rays(tables: Tables, view: View, sample: Sample, rows: range) -> Rays:
     """The primary rays of a band of rows. The grid is laid out in float64, like every other set-up."""
-    offset_x, offset_y = {"corner": (0, 0), "center": (0.5, 0.5), "bottom-left": (0, 1), "inclusive": (0, 0)}[sample]
+    offset_x, offset_y = OFFSETS[sample]
     inclusive = sample == "inclusive"
     wide = max(view.columns - 1, 1) if inclusive else view.columns
     high = max(view.rows - 1, 1) if inclusive else view.rows

@@ -35,7 +35,18 @@ from validation.run import (
     versions,
     why_not,
 )
-from validation.terminal import TOO_MANY, colorful, console, number, print_failures, print_notes
+from validation.terminal import (
+    NARROW,
+    TOO_MANY,
+    colorful,
+    console,
+    fits,
+    number,
+    paths,
+    print_failures,
+    print_notes,
+    room_for_names,
+)
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
@@ -593,22 +604,27 @@ def print_certification(result: Certification) -> None:
     for renderer in dict.fromkeys(certificate.renderer for certificate in result.certificates):
         group = [certificate for certificate in result.certificates if certificate.renderer == renderer]
         out.print(f"{renderer} against proved values", style="bold", markup=False)
+        names = [f"{entry.scene} {entry.size[0]}x{entry.size[1]}" for entry in group]
+        columns = {
+            "random": [str(entry.random) for entry in group],
+            "edge": [str(entry.edge) for entry in group],
+            "/tolerance": [number(entry.ratio) for entry in group],
+            "max error": [number(entry.error) for entry in group],
+            "wrong": [str(entry.wrong) for entry in group],
+            "at margin": [_margin(entry) for entry in group],
+        }
+        if out.width < NARROW:  # these were asked for
+            del columns["random"], columns["edge"]
+        room = room_for_names(out.width, [["result"], *([name, *of] for name, of in columns.items())])
+        shown = paths(names, room)
         table = Table(box=None, pad_edge=False, header_style="bold")
-        table.add_column("scene", overflow="fold", min_width=16)
+        table.add_column("scene", overflow="fold", no_wrap=fits(shown, room))
         table.add_column("result", no_wrap=True)
-        for header in ("random", "edge", "/tolerance", "max error", "wrong", "at margin"):
+        for header in columns:
             table.add_column(header, justify="right", no_wrap=True)
-        for entry in group:
-            table.add_row(
-                f"{entry.scene} {entry.size[0]}x{entry.size[1]}",
-                Text("holds", style="green") if entry.ok else Text("WRONG", style="bold red"),
-                str(entry.random),
-                str(entry.edge),
-                number(entry.ratio),
-                number(entry.error),
-                str(entry.wrong),
-                _margin(entry),
-            )
+        for place, (name, entry) in enumerate(zip(names, group, strict=True)):
+            holds = Text("holds", style="green") if entry.ok else Text("WRONG", style="bold red")
+            table.add_row(shown[name], holds, *(texts[place] for texts in columns.values()))
         out.print(table)
         out.print()
     for entry in result.certificates:

@@ -1,4 +1,4 @@
-"""The command `whitted`: validate, explain, truth, render, convert, compare, renderers."""
+"""The command `whitted`: validate, check, explain, truth, stability, render, convert, compare, renderers."""
 
 # Everything but click is imported where it is used: `whitted --help` answers at once.
 from __future__ import annotations
@@ -10,27 +10,43 @@ import json
 import os
 import re
 import shlex
+import signal
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 from click.exceptions import NoArgsIsHelpError
 
-from validation.options import SAMPLES, Count, Names, Place, Size, Whole, positive, settings_options
-from validation.terminal import complain, console, print_comparisons, print_renderers, print_validation
+from validation.options import (
+    NO_LIMITS,
+    SAMPLES,
+    Count,
+    Names,
+    Place,
+    Size,
+    Whole,
+    drawing_options,
+    positive,
+    settings_options,
+)
+from validation.terminal import complain, console, print_comparisons, print_validation
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.passes import Passes
     from validation.renderers import Renderer, Settings
+    from validation.report.report import Report
 
 PASS_FILES, IMAGES = (".exr", ".npz"), (".png", ".ppm")
-DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED = 1, 2, 3, 130, 128 + 13
+DIFFERENT, WRONG, FAILED, INTERRUPTED, PIPE_CLOSED, TERMINATED = 1, 2, 3, 130, 128 + 13, 128 + 15
 #: As the scene format limits columns and rows.
 LONGEST_SIDE = 100_000
 #: Errors of one scene file that are shown.
@@ -40,6 +56,10 @@ AT = "a column and a row, from 0 at the top left: --at X Y"
 XY = "one scene, then a column and a row, from 0 at the top left: whitted explain SCENE X Y"
 #: That of validation.run, which takes longer to import than help may take; a test holds them together.
 MOST_VERDICTS = 100
+
+
+#: Set by SIGTERM, where it ends the program as Ctrl-C does.
+_terminated = threading.Event()
 
 
 class ReaderGoneError(Exception):
@@ -108,8 +128,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         status = WRONG
         complain(*_sentence(error))
     except (click.Abort, KeyboardInterrupt):
-        status = INTERRUPTED
-        complain("interrupted")
+        status = TERMINATED if _terminated.is_set() else INTERRUPTED
+        if status == INTERRUPTED:
+            complain("interrupted")
     except (BrokenPipeError, ReaderGoneError):
         status = PIPE_CLOSED
     except OSError as error:
@@ -130,8 +151,10 @@ def _sentence(error: click.ClickException) -> tuple[str, str]:
     message, hint = error.format_message().rstrip("."), getattr(error, "hint", "") or f"see `{path} --help`"
     if isinstance(error, click.NoSuchOption):
         message = f"no such option '{error.option_name}'"
-        if near := difflib.get_close_matches(error.option_name, error.possibilities or (), n=1):
-            hint = f"did you mean '{near[0]}'?"
+        # Without the dashes, which all have in common.
+        options = {option.lstrip("-"): option for option in error.possibilities or ()}
+        if near := difflib.get_close_matches(error.option_name.lstrip("-"), options, n=1):
+            hint = f"did you mean '{options[near[0]]}'?"
     elif isinstance(error, click.BadOptionUsage) and error.option_name == "--at":
         message, hint = "--at: found fewer than two numbers", AT
     elif isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter) and error.param:
@@ -149,7 +172,7 @@ def _errors(done: str = "compared") -> Iterator[None]:
     `done`: what was not done where a scene is wrong.
     """
     import tracer
-    from validation.renderers import UnknownRendererError
+    from validation.renderers import RendererNameError
     from validation.run import InputError, RendererError, SceneFilesError
 
     try:
@@ -169,7 +192,8 @@ def _errors(done: str = "compared") -> Iterator[None]:
             yield
         except SceneFilesError as error:
             text = "\n".join(map(_first_errors, error.messages))
-            count = f"\nnothing was {done}: {len(error.messages)} of {error.files} files are wrong"
+            wrong = len(error.messages)
+            count = f"\nnothing was {done}: {wrong} of {error.files} files {'is' if wrong == 1 else 'are'} wrong"
             raise CommandError(text + count * (error.files > 1)) from error
         except InputError as error:
             raise CommandError(str(error)) from error
@@ -177,7 +201,7 @@ def _errors(done: str = "compared") -> Iterator[None]:
             raise CommandError(str(error), "", FAILED) from error
         except BrokenPipeError:
             raise
-        except UnknownRendererError as error:
+        except RendererNameError as error:
             raise CommandError(str(error), error.hint) from error
         except OSError as error:
             if error.errno and error.filename is None:
@@ -196,7 +220,9 @@ def _first_errors(message: str) -> str:
     # The parser stops counting one by one at some number.
     if last := re.fullmatch(r".*: error: and (\d+) more", entries[-1]):
         rest += int(last[1]) - 1
-    place = re.sub(r"(:\d+)*: error: .*", "", entries[0], flags=re.DOTALL)
+    # The name of the file may have the same words in it.
+    placed = re.match(r"(.*?)(:\d+)+: error: ", entries[0]) or re.match(r"(.*?): error: ", entries[0])
+    place = placed[1] if placed else ""
     return "\n".join([*entries[:MOST_ERRORS], f"{place}: error: and {rest} more"])
 
 
@@ -238,8 +264,15 @@ def _pass_names(asked: Sequence[str]) -> None:
         check_passes(asked)
     except ValueError as error:
         message, _, near = str(error).partition(" (did you mean ")
-        hint = f"did you mean {near.rstrip(')')}" if near else "see the table of passes in docs/specification.md"
+        hint = f"did you mean {near.rstrip(')')}" if near else f"the passes are {', '.join(_every_pass())}"
         raise CommandError(message, hint) from error
+
+
+def _every_pass() -> list[str]:
+    """The passes that there are to compare, families such as `shadow.L*` once."""
+    from tracer.passes import TABLE
+
+    return [row.name for row in TABLE if row.quantity != "margin"]
 
 
 def _usable(name: str) -> Renderer:
@@ -316,6 +349,11 @@ def whitted() -> None:
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
 @click.option("--renderer", type=Names(), default="native-f64", show_default=True, help="What is under test.")
 @click.option("--against", type=Names(), default="mitsuba-spec", show_default=True, help="What it is compared with.")
+@click.option(
+    "--all-pairs",
+    is_flag=True,
+    help="Compare every pair, of the renderers named or of all that can run here: who stands alone?",
+)
 @click.option("--passes", type=Names(), help="Passes to compare, for example beauty,shadow.L*; default: all.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
@@ -338,6 +376,7 @@ def validate(
     scenes: tuple[Path, ...],
     renderer: tuple[str, ...],
     against: tuple[str, ...],
+    all_pairs: bool,
     passes: tuple[str, ...] | None,
     size: tuple[int, int] | None,
     report: Path | None,
@@ -351,6 +390,7 @@ def validate(
     \b
     whitted validate scenes/gallery/mirrors.txt --report out
     whitted validate scenes --renderer native-f64 --against mitsuba-spec,numpy-f64 --size 100x100
+    whitted validate scenes/gallery --all-pairs
 
     Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a
     renderer failed.
@@ -362,6 +402,15 @@ def validate(
     command = _command()
     with _errors():
         _pass_names(passes or ())
+        if all_pairs:
+            given = ctx.get_parameter_source
+            named = [
+                name
+                for option, names in (("renderer", renderer), ("against", against))
+                if given(option) is not ParameterSource.DEFAULT
+                for name in names
+            ]
+            renderer, against = tuple(named or (entry.name for entry in renderers.best())), ()
         for name in (*renderer, *against):
             renderers.get(name)
         _check_pairs(renderer, against)
@@ -369,16 +418,7 @@ def validate(
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if json_file:
             _parent(json_file)
-        page = None
-        if report:
-            from validation.report.report import Report, ours
-
-            ctx.with_resource(_folder(report))
-            place = report / "index.html"
-            _parent(place)
-            if not ours(place):
-                raise CommandError(f"{place} is no report of whitted", "name another folder, or remove that file")
-            page = Report()
+        page = _page(ctx, report) if report else None
         with _progress() as progress:
             result = run(
                 loaded,
@@ -391,6 +431,7 @@ def validate(
                 verdicts=verdicts,
                 on_rendered=page.add if page else None,
                 progress=progress,
+                all_pairs=all_pairs,
             )
         result.command = command
         print_validation(result, verbose=verbose or len(loaded) == 1)
@@ -399,6 +440,18 @@ def validate(
         if page and report:
             click.echo(page.write(report, result))
     ctx.exit(result.status)
+
+
+def _page(ctx: click.Context, report: Path) -> Report:
+    """A report that can be written into that folder."""
+    from validation.report.report import Report, ours
+
+    ctx.with_resource(_folder(report))
+    place = report / "index.html"
+    _parent(place)
+    if not ours(place):
+        raise CommandError(f"{place} is no report of whitted", "name another folder, or remove that file")
+    return Report()
 
 
 def _command() -> list[str]:
@@ -416,6 +469,27 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
+@contextmanager
+def _ending() -> Iterator[None]:
+    """SIGTERM ends what is done here as Ctrl-C does: other processes first, and nothing is left behind."""
+
+    def end(*_: object) -> None:
+        _terminated.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a script may have it ignored
+        # Put off like Ctrl-C where that is: so it goes to this thread.
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGTERM)
+    if before == signal.SIG_IGN:  # as a script may have it
+        yield
+        return
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _write_text(path: Path, text: str) -> None:
     from tracer.passes import write_beside
 
@@ -423,52 +497,134 @@ def _write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+@whitted.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE...", type=click.Path(path_type=Path))
+@click.option(
+    "--image",
+    "images",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The image (PPM or PNG) of the scene; of several scenes one each, in their order.",
+)
+@click.option("--command", "template", metavar="'CMD {scene}'", help="A program that draws the scenes: see below.")
+@drawing_options
+@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.option(
+    "--verdicts",
+    type=Whole(hint="--verdicts 500 judges 500 pixels of an image at most, --verdicts 0 none"),
+    default=MOST_VERDICTS,
+    show_default=True,
+    metavar="N",
+    help="Of each image work out N differing pixels exactly; a random sample where more differ; 0: none.",
+)
+@click.pass_context
+def check(
+    ctx: click.Context,
+    /,
+    scenes: tuple[Path, ...],
+    images: tuple[Path, ...],
+    template: str | None,
+    report: Path | None,
+    json_file: Path | None,
+    verdicts: int,
+    **options: Any,
+) -> None:
+    """Check the image that your ray tracer made of a scene: fit its conventions, and judge what is left.
+
+    Programs differ in where a ray goes through its pixel, in what becomes of a colour on its way to a byte, and in the
+    order of rows. The convention that explains the most pixels is found first and is no fault; what is left is
+    compared, and judged pixel by pixel.
+
+    With --command your program is run for every scene: {scene} is the path of the scene file, {output} the path where
+    the image is wanted; without it the file of the field OUTPUT is taken, or else what is printed.
+
+    \b
+    whitted check scenes/gallery/shadows.txt --image shadows.ppm
+    whitted check scenes/gallery/*.txt --command './mine {scene}' --report out
+
+    Exit status: 0 nothing is left, 1 something is, 2 the input or the command is wrong, 3 the program failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation.check import Picture, check, draw_pictures, read_picture
+    from validation.run import load_scenes
+    from validation.terminal import print_check
+
+    command = _command()
+    with _errors("checked"):
+        if bool(images) == bool(template):
+            hint = "whitted check SCENE --image FILE, or whitted check SCENE... --command './mine {scene}'"
+            raise CommandError("expected either --image or --command", hint)
+        if images and len(images) != len(scenes):
+            counts = f"{len(scenes)} scenes" if len(scenes) > 1 else "1 scene"
+            raise CommandError(
+                f"expected {len(scenes)} --image for {counts}, found {len(images)}", "one each, in order"
+            )
+        # Not folders: images belong to scenes by their order.
+        if images and (folder := next((path for path in scenes if path.is_dir()), None)):
+            raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
+        loaded = load_scenes(scenes, limits=not options["no_limits"])
+        settings = _settings(options | {"sample": "corner"})
+        if json_file:
+            _parent(json_file)
+        page = _page(ctx, report) if report else None
+        with _progress() as progress:
+            pictures: list[Picture] = []
+            if template:
+                pictures, failures = draw_pictures(loaded, template, settings, progress=progress)
+                name = template
+            else:
+                failures = []
+                for path, (label, scene) in zip(images, loaded.items(), strict=True):
+                    pictures.append(read_picture(path, label, scene))
+                name = images[0].name if len(images) == 1 else "the image"
+            result = check(
+                pictures,
+                settings,
+                name=name,
+                failures=failures,
+                verdicts=verdicts,
+                on_rendered=page.add if page else None,
+                progress=progress,
+            )
+        result.validation.command = command
+        print_check(result)
+        if json_file:
+            _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+        if page and report:
+            click.echo(page.write(report, result.validation))
+    ctx.exit(result.status)
+
+
 @whitted.command("renderers")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--missing", is_flag=True, help="Only those that cannot run here, a line each.")
+@click.option("--passes", "by_pass", is_flag=True, help="Who delivers which pass, how, and at which precision.")
 @click.pass_context
-def list_renderers(ctx: click.Context, /, as_json: bool, missing: bool) -> None:
-    """List the renderers: version, passes, and what to do for those that cannot run here."""
-    import tracer
-    from validation import renderers
-    from validation.renderers import Settings
+def list_renderers(ctx: click.Context, /, as_json: bool, missing: bool, by_pass: bool) -> None:
+    """List the renderers: version, passes, and what to do for those that cannot run here.
+
+    \b
+    whitted renderers
+    whitted renderers --passes
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation import catalogue
+    from validation.terminal import print_passes, print_renderers
 
     with _errors():
-        ball = tracer.Sphere(
-            name="s", position=(0, 0, -5), scaling=(1, 1, 1), color=(1, 1, 1), ka=1, kd=1, ks=1, kr=1, exponent=1
-        )
-        light = tracer.Light(name="l", position=(5, 5, 0), intensity=(1, 1, 1))
-        view = tracer.View(near=1, left=-1, right=1, bottom=-1, top=1, columns=1, rows=1)
-        example = tracer.Scene(view=view, spheres=(ball,), lights=(light,))
-        entries = []
-        for renderer in renderers.all():
-            reason = renderer.unavailable()
-            entries.append(
-                {
-                    "name": renderer.name,
-                    "available": reason is None,
-                    "reason": reason,
-                    "version": renderer.version() if reason is None else None,
-                    "passes": _families(renderer.passes(example, Settings())) if reason is None else [],
-                }
-            )
-        failures = dict(renderers.registry().failures)
+        entries, failures = catalogue.renderers()
     if missing:
         entries = [entry for entry in entries if not entry["available"]]
     if as_json:
         click.echo(json.dumps({"renderers": entries, "failures": failures}, indent=1))
+    elif by_pass:
+        print_passes(entries, failures)
     elif missing:
         for entry in entries:
             click.echo(f"not available: {entry['name']}: {entry['reason']}")
     else:
         print_renderers(entries, failures)
     ctx.exit(0)
-
-
-def _families(passes: Sequence[str]) -> list[str]:
-    from tracer.passes import lookup
-
-    return list(dict.fromkeys(lookup(name).name for name in passes))
 
 
 @whitted.command()
@@ -528,10 +684,22 @@ def render(
 
 
 def _refuse(name: str, program: str, delivers: Sequence[str], known: Sequence[str]) -> NoReturn:
-    near = difflib.get_close_matches(name, delivers, n=1)
+    # Another light or bounce is not what a number beyond the last was meant to be.
+    near = [] if _is_pass(name) else difflib.get_close_matches(name, delivers, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(delivers)}"
-    what = f"{program} has no pass '{name}'" if name in known else f"unknown pass '{name}'"
+    what = f"{program} has no pass '{name}'" if name in known or _is_pass(name) else f"unknown pass '{name}'"
     raise CommandError(what, hint)
+
+
+def _is_pass(name: str) -> bool:
+    """Whether some scene has a pass of that name."""
+    from tracer.passes import lookup
+
+    try:
+        lookup(name)
+    except ValueError:
+        return False
+    return True
 
 
 class OnePixel(click.Command):
@@ -556,7 +724,12 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
 @click.argument("x", type=Place(hint=XY))
 @click.argument("y", type=Place(hint=XY))
 @click.argument("more", nargs=-1, metavar="", callback=_nothing_more, expose_value=False)
-@click.option("--renderer", type=Names(), help="Renderers to hold against truth; default: all that can draw the scene.")
+@click.option(
+    "--renderer",
+    type=Names(),
+    help="Renderers to hold against truth; default: all. Those that cannot draw the scene, or not soon enough at its "
+    "size, are listed as not drawn.",
+)
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write all of it as JSON.")
@@ -586,6 +759,7 @@ def explain(
     """  # noqa: D301 - click wants that character, not a backslash
     from validation import renderers
     from validation.explain import explain as run
+    from validation.explain import small_enough, too_large
     from validation.explain_text import print_explanation
     from validation.run import resized
     from validation.truth import NOWHERE
@@ -606,14 +780,16 @@ def explain(
                 )
         except NOWHERE as error:
             raise CommandError(f"truth could not be had: {error}", "whitted explain another pixel", FAILED) from error
-        print_explanation(told)
+        # That nothing could be drawn is said at the end, once.
+        print_explanation(replace(told, notes=()) if renderer and not told.drawn else told)
         if json_file:
             _write_text(json_file, json.dumps(told.record(), indent=1, allow_nan=False) + "\n")
         if renderer and not told.failed and all(entry.reason for entry in told.drawn):
-            reasons = [f"{entry.renderer} {entry.reason}" for entry in told.drawn] or told.notes
-            hint = next((entry.hint for entry in told.drawn if entry.hint), "")
-            other = "see `whitted renderers`" if told.drawn else "a smaller --size"
-            raise CommandError("; ".join(reasons), hint or other, FAILED)
+            reasons = [f"{entry.renderer} {entry.reason}" for entry in told.drawn]
+            hint = next((entry.hint for entry in told.drawn if entry.hint), "see `whitted renderers`")
+            if not told.drawn:
+                reasons, hint = [too_large(loaded)], small_enough(loaded, _settings(options), chosen)
+            raise CommandError("; ".join(reasons), hint, FAILED)
     ctx.exit(FAILED if told.failed else 0)
 
 
@@ -623,7 +799,7 @@ def explain(
     "--pixels",
     type=Count(hint="--pixels 100 takes 100 random pixels of each scene, --pixels all every one"),
     metavar="N|all",
-    help="Prove N random pixels of each scene, or all; default: 10, with --renderer 2000.",
+    help="Prove N random pixels of each scene, or all; default: 10, with --renderer 2000. Not with --at.",
 )
 @click.option(
     "--at",
@@ -631,9 +807,13 @@ def explain(
     nargs=2,
     multiple=True,
     metavar="X Y",
-    help="Prove this pixel: column and row, from 0 at the top left; may be repeated.",
+    help="Prove this pixel: column and row, from 0 at the top left; may be repeated. Not with --pixels or --renderer.",
 )
-@click.option("--renderer", type=Names(), help="Renderers to hold against the proved values; default: none.")
+@click.option(
+    "--renderer",
+    type=Names(),
+    help="Renderers to hold against the proved values; default: none. Not with --at or -o.",
+)
 @click.option(
     "--edges", type=Whole(), metavar="N", help="With --renderer: N pixels nearest to a decision; default: 500."
 )
@@ -647,7 +827,7 @@ def explain(
     "--output",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="With --pixels all: the proved image, .npz, .exr, .png or .ppm.",
+    help="With --pixels all, not with --renderer: the proved image of one scene, .npz, .exr, .png or .ppm.",
 )
 @click.pass_context
 def truth(
@@ -681,19 +861,20 @@ def truth(
 
     command, at = _command(), tuple(dict.fromkeys(at))
     with _errors("certified" if renderer else "proved"):
-        _check_truth(pixels, at, renderer, edges, output)
+        _check_truth(scenes, pixels, at, renderer, edges, output)
         _check_size(size, no_limits=options["no_limits"])
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if size:
             loaded = {label: resized(scene, size, limits=False) for label, scene in loaded.items()}
         _check_pixels(loaded, at, output)
+        _check_memory(loaded, pixels, _settings(options), output)
         for file in filter(None, (json_file, output)):
             _parent(file)
         settings, status = _settings(options), 0
         # On a terminal what is printed beside the progress would go where the progress goes.
         lines: Sequence[str] = ()
         try:
-            with _progress() as progress:
+            with _progress() as progress, _ending():
                 common: dict[str, Any] = {"seed": seed, "jobs": jobs, "progress": progress}
                 if renderer:
                     common |= {"pixels": pixels or PIXELS, "edges": EDGES if edges is None else edges}
@@ -716,6 +897,7 @@ def truth(
 
 
 def _check_truth(
+    scenes: Sequence[Path],
     pixels: int | None,
     at: tuple[tuple[int, int], ...],
     renderer: tuple[str, ...] | None,
@@ -729,9 +911,11 @@ def _check_truth(
     if at and pixels is not None:
         raise CommandError("--at and --pixels exclude each other", "--at names pixels, --pixels takes random ones")
     if renderer:
-        for option, given in (("--at", at), ("--output", output)):
-            if given:
-                raise CommandError(f"{option} is for proving alone", "leave out --renderer")
+        if at:
+            words = ["whitted", "explain", str(scenes[0]), *map(str, at[0]), "--renderer", ",".join(renderer)]
+            raise CommandError("--at is for proving alone", shlex.join(words))
+        if output:
+            raise CommandError("--output is for proving alone", "leave out --renderer")
         for name in renderer:
             renderers.get(name)
     elif edges is not None:
@@ -756,15 +940,112 @@ def _check_pixels(scenes: Mapping[str, Scene], at: tuple[tuple[int, int], ...], 
                 raise CommandError(f"{label} has no pixel {x} {y}", hint)
 
 
+def _check_memory(scenes: Mapping[str, Scene], pixels: int | None, settings: Settings, output: Path | None) -> None:
+    """Whether so many pixels, and the image that they become, fit into the memory."""
+    from tracer.passes import names
+    from validation.run import check_memory
+
+    for label, scene in scenes.items():
+        # Of a large share the random choice takes memory for every pixel.
+        if output or (pixels and pixels > scene.view.columns * scene.view.rows / 50):
+            every = names(len(scene.lights), settings.max_reflections, margins=False)
+            check_memory(label, scene, every, fewer="--pixels")
+
+
+@whitted.command()
+@click.option("--fuzz", "scenes", type=Whole(1), metavar="N", help="Draw N random scenes.")
+@click.option("--seed", type=Whole(), default=0, show_default=True, metavar="S", help="Of the random scenes.")
+@click.option(
+    "--first", type=Whole(), default=0, show_default=True, metavar="I", help="Begin with scene I of the seed."
+)
+@click.option("--renderer", type=Names(), help="What is under test; default: all that can run here.")
+@click.option("--against", default="native-f64", show_default=True, metavar="NAME", help="What each is compared with.")
+@click.option(
+    "--jobs",
+    type=Whole(1, 1024),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Processes that draw; renderers use several cores by themselves.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("fuzz-failures"),
+    show_default=True,
+    metavar="DIR",
+    help="Where the smallest scene of each kind of failure is kept.",
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@click.pass_context
+def stability(
+    ctx: click.Context,
+    /,
+    scenes: int | None,
+    seed: int,
+    first: int,
+    renderer: tuple[str, ...] | None,
+    against: str,
+    jobs: int,
+    output: Path,
+    json_file: Path | None,
+) -> None:
+    """Draw random scenes with all renderers, and keep the smallest scenes that show what nothing explains.
+
+    Every scene has a theme that is hard: flat ellipsoids, spheres that touch, lights on surfaces, mirrors that face
+    each other. It follows from the seed and its index alone. Some pixels of the reference are proved as well.
+
+    \b
+    whitted stability --fuzz 100
+    whitted stability --fuzz 1 --seed 7 --first 12 --renderer native-f32,mitsuba-spec
+
+    Exit status: 0 everything is explained, 1 something is not, 2 the command is wrong, 3 a renderer failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation import renderers
+    from validation.fuzz import fuzz, print_campaign
+
+    command = _command()
+    with _errors("drawn"):
+        if scenes is None:
+            raise CommandError("nothing to do", "whitted stability --fuzz 100 draws 100 random scenes")
+        for name in (*(renderer or ()), against):
+            renderers.get(name)
+        if renderer:
+            _check_pairs(renderer, [against])
+        if json_file:
+            _parent(json_file)
+        if output.exists() and not os.access(output, os.W_OK):
+            raise CommandError(f"{output}: cannot be written", "name another folder")
+        with _progress() as progress, _ending():
+            result = fuzz(
+                scenes,
+                renderer,
+                seed=seed,
+                first=first,
+                reference=against,
+                jobs=jobs,
+                output=output,
+                progress=progress,
+                command=command,
+            )
+        print_campaign(result)
+        if json_file:
+            _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+    if result.interrupted:
+        ctx.exit(TERMINATED if _terminated.is_set() else INTERRUPTED)
+    ctx.exit(result.status)
+
+
 @whitted.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--to", "target", type=click.Choice(["mitsuba"]), required=True, help="The other program.")
+@click.option("--to", "target", type=click.Choice(["mitsuba", "povray"]), required=True, help="The other program.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE")
 @click.option("--sample", type=click.Choice(SAMPLES), default="corner", show_default=True)
 @click.option("--max-reflections", type=Whole(0, 100), default=3, show_default=True, metavar="N")
 @click.option("--light", type=Whole(), metavar="I", help="Only light I, from 0; default: all.")
 @click.option("--stock-only", is_flag=True, help="Refuse a scene that needs plugins which Mitsuba does not come with.")
-@click.option("--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images.")
+@click.option("--no-limits", is_flag=True, help=NO_LIMITS)
 def convert(
     scene: Path,
     target: str,
@@ -776,12 +1057,20 @@ def convert(
     no_limits: bool,
 ) -> None:
     """Write SCENE as a scene of another program. The head of the file says how to render it."""
-    del target  # click has checked that it is the one there is
     with _errors():
         _parent(output)
         loaded = _load(scene, no_limits=no_limits)
         if light is not None and light >= len(loaded.lights):
             raise CommandError(f"{scene} has no light {light}", f"it has {len(loaded.lights)}, counted from 0")
+        if target == "povray":
+            # All that it needs is stock.
+            from converters.povray import CannotSayError, write_pov
+
+            try:
+                write_pov(loaded, output, sample=sample, max_reflections=max_reflections, light=light)
+            except CannotSayError as error:
+                raise CommandError(f"{scene}: {error}", "docs/tolerances.md says what POV-Ray's limits are") from error
+            return
         from converters.mitsuba import StockError, write_xml
 
         options = {"sample": sample, "max_reflections": max_reflections, "light": light, "stock_only": stock_only}

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.passes import Pass, lookup
-from validation import metrics
+from validation import encoding, metrics
+from validation.encoding import Encodings
 from validation.renderers import Settings, Uncertainty
 
 if TYPE_CHECKING:
@@ -134,6 +135,8 @@ class Judge:
     analysis: Analysis
     renderer: Uncertainty
     reference: Uncertainty
+    #: How the levels of either one's `beauty` stand for colours; None: it holds colours.
+    encodings: Encodings = (None, None)
 
     def edge(self, name: str) -> Mask:
         """Pixels of a pass with a decision that one of the two renderers may take either way, or without a bound."""
@@ -214,9 +217,9 @@ def compare_passes(
                 f"too many edge pixels: {count} of {edge.size}, more than the {cap} that the lengths of the outlines "
                 "explain; one of the two renderers decides too little of this scene"
             )
-        yield _measure(
-            blank, a[name], b[name], row, Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared), reasons
-        )
+        maps = Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared)
+        encodings = judge.encodings if name == "beauty" else (None, None)
+        yield _measure(blank, a[name], b[name], row, maps, reasons, encodings=encodings)
 
 
 def compare_plain(
@@ -301,9 +304,12 @@ def _measure(
     reasons: list[str],
     *,
     visual: bool = True,
+    encodings: Encodings = (None, None),
 ) -> Comparison:
     planes = [np.asarray(array if array.ndim == 3 else array[..., None], dtype=np.float64) for array in (a, b)]
-    differences = metrics.difference(*planes)
+    differences = (
+        encoding.difference(planes[0], planes[1], encodings) if any(encodings) else metrics.difference(*planes)
+    )
     # A value that is no number is as wrong as can be.
     differences = np.where(np.isnan(differences), np.inf, differences)
     error = differences.max(axis=-1)
@@ -352,7 +358,10 @@ def _measure(
         "maps": Maps(error, tolerance, compared, maps.edge, compared & over),
     }
     if row.name == "beauty" and visual:
+        if any(encodings):
+            a, b = encoding.shown(planes[0], planes[1], encodings)
+            planes = [a / 255, b / 255]
         changes["levels"] = metrics.levels(a, b)
-        changes["psnr"] = metrics.psnr(a, b)
+        changes["psnr"] = metrics.psnr(*planes)
         changes["ciede2000"] = metrics.ciede2000(a, b)
     return replace(blank, reasons=tuple(reasons), **changes)

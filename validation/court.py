@@ -13,6 +13,7 @@ import functools
 import itertools
 import math
 import random
+import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -22,12 +23,14 @@ import numpy as np
 
 from tracer.passes import MARGINS, lookup
 from validation import flips, parting
-from validation.follow import Key
+from validation.compare import Judge
+from validation.encoding import Encoding
+from validation.follow import Follower, Key
 from validation.parting import Decision
 from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
 from validation.rules import Rule, mistakes
 from validation.run import RendererError, blaming
-from validation.truth import NOWHERE, Ball, Prover, Truth
+from validation.truth import NOWHERE, Allowance, Ball, Prover, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -47,7 +50,7 @@ FEW = 10
 #: So many more may be taken otherwise besides.
 BESIDES = 2
 #: Sensitivities are what takes time: of a pixel and renderer so many at most.
-SENSITIVITIES = 16
+SENSITIVITIES = 64
 #: Of what makes a pixel in part so many are looked at further.
 HALFWAY = 6
 #: Of a rule that leaves decisions open so many ways to take them.
@@ -69,6 +72,7 @@ class Side:
     renderer: Renderer
     passes: Passes
     claim: Uncertainty
+    encoding: Encoding | None = None
 
 
 @dataclass(frozen=True)
@@ -107,31 +111,51 @@ class RulesError(RendererError):
 
 
 @contextmanager
-def _blaming(renderer: Renderer) -> Iterator[None]:
+def _blaming(renderer: Renderer, rules: Sequence[Rule]) -> Iterator[None]:
+    """What is raised in the code of its rules is the renderer's failure, what is raised in ours is not."""
+    theirs = {type(renderer).__module__}
+    for rule in rules:
+        theirs |= {getattr(code, "__module__", "") for code in (rule.follower, rule.choices, rule.settings)}
     try:
-        with blaming():
-            yield
-    except RendererError as error:
-        raise RulesError(renderer.name, f"its rules: {error}") from error
+        yield
+    except NOWHERE:
+        raise
+    except Exception as error:
+        frames = [frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)]
+        if not theirs & {name for name in frames if name != __name__}:
+            raise
+        raise RulesError(renderer.name, f"its rules failed: {type(error).__name__}: {error}") from error
 
 
 class Court:
     """Judges pixels of one scene."""
 
-    def __init__(
-        self, scene: Scene, settings: Settings, analysis: Analysis, bounds: Mapping[str, float] | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, settings: Settings, analysis: Analysis) -> None:
         """What all pixels share.
 
-        `analysis`: margins and sensitivities at this size, with these settings. `bounds`: by pass what a pixel without
-        a finite tolerance is held to.
+        `analysis`: margins and sensitivities at this size, with these settings.
         """
-        self.scene, self.settings, self.analysis, self.bounds = scene, settings, analysis, bounds or {}
-        self.prover = Prover(scene, settings)
+        self.scene, self.settings, self.analysis = scene, settings, analysis
+        #: What may be worked out exactly for a pixel, over all that is asked about it.
+        self.allowance = Allowance()
+        self.prover = Prover(scene, settings, allowance=self.allowance)
+        self._truths: dict[tuple[int, int], Truth] = {}
+        self._found: dict[tuple[str, int, int, tuple[str, ...]], Finding] = {}
+        self._bounds: dict[tuple[str, str], float] = {}
         self._rules: dict[Rule, Prover] = {}
         self._documented: dict[str, Sequence[Rule]] = {}
         self._mistakes = list(mistakes(scene, settings))
         self._against: dict[tuple[Rule, str], int] = {}
+
+    def truth(self, x: int, y: int) -> Truth:
+        """The pixel; a renderer of several pairs may be asked about it several times.
+
+        Raises:
+            truth.UnprovedError: no precision is enough.
+        """
+        if (x, y) not in self._truths:
+            self._truths[x, y] = self.prover.pixel(x, y)
+        return self._truths[x, y]
 
     def find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
         """Whether one renderer is off at a pixel, and why.
@@ -139,14 +163,32 @@ class Court:
         Raises:
             RulesError: its documented rules failed.
         """
+        key = side.renderer.name, truth.x, truth.y, tuple(compared)
+        if key not in self._found:
+            self._found[key] = self._find(truth, side, compared)
+        return self._found[key]
+
+    def bound(self, side: Side, name: str) -> float:
+        """What a pixel without a finite tolerance is held to: the largest tolerance of the interior."""
+        key = side.renderer.name, name
+        if key not in self._bounds:
+            exact = Uncertainty(0.0, 0.0, 0.0, 0.0, 0.0)
+            judge = Judge(self.scene, self.settings, self.analysis, side.claim, exact)
+            self._bounds[key] = float(judge.tolerance(name)[~judge.edge(name)].max(initial=0.0))
+        return self._bounds[key]
+
+    def _find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
         pixel = _Pixel(self, truth, side, compared)
         name, errors = side.renderer.name, pixel.errors
         if not errors:
             return Finding(name)
-        for possible in self.causes(pixel):
-            return Finding(
-                name, errors, self.parted(pixel, possible), possible.cause, possible.because, possible.change
-            )
+        self.allowance.restore()
+        # A rule is a third party's code.
+        with _blaming(side.renderer, self.documented(side.renderer)):
+            for possible in self.causes(pixel):
+                return Finding(
+                    name, errors, self.parted(pixel, possible), possible.cause, possible.because, possible.change
+                )
         return Finding(
             name, errors, pixel.seen(), "unexplained", "no rule, no rounding within its claim makes this pixel"
         )
@@ -154,15 +196,11 @@ class Court:
     def causes(self, pixel: _Pixel) -> Iterator[_Possible]:
         """What made a pixel, the likeliest first."""
         x, y = pixel.truth.x, pixel.truth.y
-        # A rule is a third party's code, and it runs as far as the pixel that it makes.
-        with _blaming(pixel.side.renderer):
-            ways = [
-                _Possible("rule", f"as documented, it {rule.says}", made)
-                for rule in self.documented(pixel.side.renderer)
-                for prover in self.following(rule, x, y)
-                for made in [pixel.made(prover)]
-                if made.values is not None
-            ]
+        ways = [
+            _Possible("rule", f"as documented, it {rule.says}", pixel.made(prover))
+            for rule in self.documented(pixel.side.renderer)
+            for prover in self.following(rule, x, y)
+        ]
         yield from pixel.makers(ways)
         ties = [tie.key for tie in pixel.truth.ties if not tie.settled and tie.proved]
         even = "an exact tie that the specification does not settle"
@@ -174,7 +212,9 @@ class Court:
             yield from self.roundings(pixel, way.made.prover, f"; {way.because}")
         for rule in tuple(self._mistakes):
             because = f"truth makes this pixel if it {rule.says}"
-            made = [_Possible("mistake", because, pixel.made(prover)) for prover in self.following(rule, x, y)]
+            made = [
+                _Possible("mistake", because, pixel.following(rule, prover)) for prover in self.following(rule, x, y)
+            ]
             for possible in pixel.makers(made, within=CLEARLY**2, sensitivities=1):
                 if not self.refuted(rule, pixel):
                     # Of several that make a pixel the one that made the last.
@@ -211,7 +251,9 @@ class Court:
                 except NOWHERE:  # it cannot say
                     continue
                 beside = _Pixel(self, truth, pixel.side, pixel.compared)
-                made = [beside.made(other) for other in self.following(rule, x, y)] if not beside.errors else []
+                if beside.errors:
+                    continue
+                made = [beside.following(rule, other) for other in self.following(rule, x, y)]
                 if made and all(entry.values is not None for entry in made):
                     against += all(beside.score(entry) > CLEARLY for entry in made)
                 if against >= enough:
@@ -243,7 +285,7 @@ class Court:
         if prover is self.prover and not self.near(x, y, claims):
             return
         within = [flip for flip in _decisions(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
-        may = f"rounding: it {_may(min(claims.values()))}, and truth makes this pixel{besides}"
+        may = f"rounding: truth makes this pixel, and it {_may(min(claims.values()))}{besides}"
         halfway = [_Possible("rounding", may, pixel.made(prover), 0.0)]
         singles = [(flip,) for flip in within]
         pairs = [(a, b) for a, b in itertools.combinations(within[:FEW], 2) if a.key != b.key]
@@ -315,8 +357,9 @@ class Court:
             made.back = gap
             if gap < pixel.unit:
                 made.beyond = changed(beyond if abs(beyond) <= most else side * most)
-            because = f"rounding: it {_may(claim)}, and truth of numbers changed by {abs(delta):.2g} makes this pixel"
-            found.append(_Possible("rounding", because + besides, made, abs(delta), way, way.kind))
+            change = f"changing the scene's numbers by {abs(delta):.2g} (relative)"
+            because = f"rounding: {change} makes this pixel, and it {_may(claim)}{besides}"
+            found.append(_Possible("rounding", because, made, abs(delta), way, way.kind))
         return found
 
     def near(self, x: int, y: int, claims: Mapping[str, float]) -> bool:
@@ -327,18 +370,25 @@ class Court:
         """Where a renderer says that it decides by rules of its own."""
         if renderer.name not in self._documented:
             rules = getattr(renderer, "rules", None)
-            self._documented[renderer.name] = rules(self.scene, self.settings) if rules else ()
+            try:
+                with blaming():
+                    self._documented[renderer.name] = tuple(rules(self.scene, self.settings)) if rules else ()
+            except RendererError as error:
+                raise RulesError(renderer.name, f"its rules {error}") from error
         return self._documented[renderer.name]
 
     def following(self, rule: Rule, x: int, y: int) -> Iterator[Prover]:
         """Truth that follows another rule, in every way that the rule leaves open at a pixel."""
         if rule.choices is not None:
             for follower in itertools.islice(rule.choices(x, y), CHOICES):
-                yield Prover(self.scene, rule.settings(self.settings), follower=follower)
+                yield self._prover(rule, follower)
             return
         if rule not in self._rules:
-            self._rules[rule] = Prover(self.scene, rule.settings(self.settings), follower=rule.follower)
+            self._rules[rule] = self._prover(rule, rule.follower)
         yield self._rules[rule]
+
+    def _prover(self, rule: Rule, follower: type[Follower]) -> Prover:
+        return Prover(self.scene, rule.settings(self.settings), follower=follower, allowance=self.allowance)
 
     def parted(self, pixel: _Pixel, possible: _Possible) -> Decision:
         """The first decision that truth and what made the pixel took otherwise."""
@@ -369,22 +419,33 @@ class _Made:
     `back`: the change that would take it back over the decision that flips, `beyond`: the same decision farther off.
     """
 
-    def __init__(self, prover: Prover, x: int, y: int) -> None:
-        self.prover, self.x, self.y = prover, x, y
+    def __init__(self, prover: Prover, x: int, y: int, encoding: Encoding | None) -> None:
+        self.prover, self.x, self.y, self.encoding = prover, x, y, encoding
         self.back = math.inf
         self.beyond: _Made | None = None
 
     @functools.cached_property
     def gap(self) -> float:
-        """The change as far as which slopes bound values: back, or a ray of the chain over the outline of its hit."""
+        """The change as far as which slopes bound values.
+
+        Back; or as far as a ray of the chain comes to the outline of its hit, or R.V to 0 where n < 1: there slopes
+        have no bound.
+        """
         try:
             hits, _ = self.prover.examine(self.x, self.y)
         except NOWHERE:
             return 0.0
         chain = {("meets", hit.bounce, -1, hit.sphere) for hit in hits}
+        exponents = [sphere.exponent for sphere in self.prover.scene.spheres]
+        chain |= {
+            ("shines", hit.bounce, sight.light, hit.sphere)
+            for hit in hits
+            for sight in hit.sights
+            if 0 < exponents[hit.sphere] < 1
+        }
         decisions = _decisions(self.prover, self.x, self.y)
-        outlines = [flip.margin for flip in decisions if flip.key[:4] in chain]
-        return min([self.back, *outlines]) if decisions else 0.0
+        steep = [flip.margin for flip in decisions if flip.key[:4] in chain]
+        return min([self.back, *steep]) if decisions else 0.0
 
     @functools.cached_property
     def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
@@ -472,9 +533,9 @@ class _Pixel:
         """By pass the error, where it is above the tolerance."""
         found = {}
         for name, values in self.values.items():
-            error = distance(name, values, self.truth.values[name])
+            error = distance(name, values, self.truth.values[name], self.side.encoding)
             tolerance = self.tolerance(name, self.sensitivity(name), 0.0)
-            if not error <= (tolerance if math.isfinite(tolerance) else self.court.bounds.get(name, 0.0)):
+            if not error <= (tolerance if math.isfinite(tolerance) else self.court.bound(self.side, name)):
                 found[name] = error
         # In float64 a decision of the pixel may have gone the other way, and its sensitivities with it.
         margin = min(float(margins[self.truth.y, self.truth.x]) for margins in self.court.analysis.margins.values())
@@ -491,7 +552,14 @@ class _Pixel:
 
     def made(self, prover: Prover) -> _Made:
         """The same pixel of changed truth."""
-        return _Made(prover, self.truth.x, self.truth.y)
+        return _Made(prover, self.truth.x, self.truth.y, self.side.encoding)
+
+    def following(self, rule: Rule, prover: Prover) -> _Made:
+        """The same of truth that follows a rule, which may be one about files."""
+        encoding = self.side.encoding
+        if rule.wraps and encoding:
+            encoding = replace(encoding, wraps=True)
+        return _Made(prover, self.truth.x, self.truth.y, encoding)
 
     def makers(
         self, possible: Sequence[_Possible], *, within: float = math.inf, sensitivities: int | None = None
@@ -510,9 +578,9 @@ class _Pixel:
 
     def idle(self, possible: _Possible) -> bool:
         """Whether something that is no rounding is nothing but truth in all that is off: then it is not the cause."""
-        if possible.cause == "rounding":
-            return False
         made = possible.made
+        if possible.cause == "rounding" or made.encoding != self.side.encoding:
+            return False
         same = all(made.value(name) == self.truth.values[name] for name in self.errors)
         return same and not any(
             lookup(name).quantity == "visibility" and int(name.removeprefix("shadow.L")) not in made.facing
@@ -538,7 +606,7 @@ class _Pixel:
         """The same of one pass; 0 within the tolerance."""
         if lookup(name).quantity in ("id", "visibility"):
             return 0.0 if made.sees(name, values[0]) else math.inf
-        error = distance(name, values, made.value(name))
+        error = distance(name, values, made.value(name), made.encoding)
         sensitivity = self.sensitivity(name)
         allowed = self.tolerance(name, sensitivity if math.isfinite(sensitivity) else 1.0, made.size(name))
         return 0.0 if error <= allowed else error / allowed if allowed else math.inf
@@ -551,7 +619,7 @@ class _Pixel:
         """Whether one pass does."""
         if lookup(name).quantity in ("id", "visibility"):
             return made.sees(name, values[0])
-        error, size = distance(name, values, made.value(name)), made.size(name)
+        error, size = distance(name, values, made.value(name), made.encoding), made.size(name)
         if error <= self.tolerance(name, 0.0, size):
             return True
         # What the first order says of a value next to a decision holds as far as the decision: just behind an outline
@@ -610,8 +678,14 @@ def _gaps(margin: float, claim: float, first: float, growth: float, side: int) -
     return [min(first * growth**k, last) for k in range(count + 1)]
 
 
-def distance(name: str, values: Sequence[float], exact: Sequence[Ball]) -> float:
-    """The error of a pass at a pixel: its largest channel; of a normal the length of the difference."""
+def distance(name: str, values: Sequence[float], exact: Sequence[Ball], encoding: Encoding | None = None) -> float:
+    """The error of a pass at a pixel: its largest channel; of a normal the length of the difference.
+
+    Of an image that is encoded as far as the colours that its levels stand for.
+    """
+    if encoding and name == "beauty":
+        levels = np.rint(np.array(values) * encoding.steps)
+        return float(encoding.distance(levels, np.array([ball.value for ball in exact])).max())
     errors = [ball.error(value) for value, ball in zip(values, exact, strict=True)]
     if any(math.isnan(error) for error in errors):
         return math.inf

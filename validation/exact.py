@@ -21,7 +21,8 @@ class TooLargeError(ArithmeticError):
 LARGEST = 1 << 22
 #: What a sum or product of rationals costs however short they are, in bits that could be worked out instead.
 OPERATION = 128
-#: Bits of all sums and products that a pixel may take, the outcomes of its ties included. A bit takes 3 to 10 ns where
+#: Bits of all sums and products that a question about a pixel may take, the outcomes of its ties included; the court,
+#: which asks many about one pixel, has one budget for all of them. A bit takes 3 to 10 ns where
 #: rationals have thousands of bits, and 95 ns where they have `LARGEST`: so exact work ends after three seconds, at
 #: worst after half a minute. Of 26 000 pixels of the bundled scenes, the lines of symmetry among them, and of those of
 #: the tests none takes more than a thousandth. Two spheres that a ray hits at the same t behind three mirrors, by

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ MOST_OBJECTS = 50
 
 #: The smallest float64 above 0, and its exponent.
 SMALLEST, SMALLEST_EXPONENT = 5e-324, -1074
+
+SMALL_ENOUGH = "--size {}x{} is small enough; the columns and rows are then others"
 
 #: Exact; a renderer is held against truth by its own uncertainty alone.
 CERTAIN = Uncertainty(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -594,7 +597,7 @@ def look(
                 return Drawn(
                     name,
                     f"would take too long at {size}: it draws up to {most} pixels of this scene",
-                    f"--size {columns}x{rows} is small enough; the columns and rows are then others",
+                    SMALL_ENOUGH.format(columns, rows),
                 )
             drawn = draw(renderer, label, scene, wanted, settings)
             for entry in wanted:
@@ -624,6 +627,24 @@ def look(
     except RendererError as error:
         verdict, failed = f"No verdict: {error}.", True
     return Drawn(name, failed=failed, values=values, levels=levels, differences=tuple(found), verdict=verdict)
+
+
+def too_large(scene: Scene) -> str:
+    """Why no renderer draws a scene here."""
+    return f"{scene.view.columns}x{scene.view.rows} pixels take too long to draw: truth alone"
+
+
+def small_enough(scene: Scene, settings: Settings, renderers: Sequence[Renderer]) -> str:
+    """What to do: the size that the renderers draw."""
+    every = names(len(scene.lights), settings.max_reflections, margins=False)
+    most = ANALYSIS_MAX_PIXELS
+    for renderer in renderers:
+        with suppress(RendererError), blaming():
+            wanted = [name for name in every if name in renderer.passes(scene, settings)]
+            limit = renderer.max_pixels(scene, wanted) if wanted else None
+            most = most if limit is None else min(most, limit)
+    columns, rows = shrink(scene.view.columns, scene.view.rows, most)
+    return SMALL_ENOUGH.format(columns, rows)
 
 
 def _difference(
@@ -706,10 +727,7 @@ def explain(
     margins: dict[str, float] = {}
     drawn: list[Drawn] = []
     if scene.view.columns * scene.view.rows > ANALYSIS_MAX_PIXELS:
-        notes.append(
-            f"an image of more than {ANALYSIS_MAX_PIXELS} pixels takes too long to draw with every renderer: "
-            "truth alone; a smaller --size has them all"
-        )
+        notes.append(f"{too_large(scene)}; {small_enough(scene, settings, ())}")
     else:
         say(f"{label}: finding the margins")
         analysis = tracer.margins.analyse(

@@ -99,7 +99,7 @@ def lines(told: Explanation) -> Iterator[Line]:
     for bounce in told.bounces:
         yield "", ""
         yield from _bounce(told, bounce)
-    yield from _wrapped("end", f"{told.end}.")
+    yield from wrapped("end", f"{told.end}.")
     yield "", ""
     yield from _passes(told)
     yield "", ""
@@ -115,13 +115,13 @@ def print_explanation(told: Explanation) -> None:
         out.print(Text(line, style=style), soft_wrap=True)
 
 
-def _wrapped(label: str, text: str, style: str = "", *, indent: int = LABEL, hang: int | None = None) -> Iterator[Line]:
+def wrapped(label: str, text: str, style: str = "", *, indent: int = LABEL, hang: int | None = None) -> Iterator[Line]:
     """Text behind a label, on as many lines as it takes; `hang`: where further lines begin."""
     begin = f"  {label}".ljust(indent - 1) + " "
     # Runs of blanks are columns: they stay.
     first, rest = text[: (hang or indent) - indent], text[(hang or indent) - indent :]
     rest = TOGETHER.sub("\u00a0", rest)
-    wrapped = textwrap.wrap(
+    broken = textwrap.wrap(
         rest,
         WIDTH,
         initial_indent=begin + first,
@@ -129,26 +129,26 @@ def _wrapped(label: str, text: str, style: str = "", *, indent: int = LABEL, han
         break_long_words=False,
         break_on_hyphens=False,
     )
-    for line in wrapped or [(begin + first).rstrip()]:
+    for line in broken or [(begin + first).rstrip()]:
         yield line.replace("\u00a0", " "), style
 
 
 def _head(told: Explanation) -> Iterator[Line]:
     view = told.scene.view
     yield f"{told.label}, {view.columns}x{view.rows}", "bold"
-    yield from _wrapped("pixel", f"x {told.x}, y {told.y}: column and row, counted from 0 at the top left")
+    yield from wrapped("pixel", f"x {told.x}, y {told.y}: column and row, counted from 0 at the top left")
     rgb = ", ".join(map(str, told.levels))
     color = " ".join(show(ball) for ball in told.truth.values["beauty"])
-    yield from _wrapped("truth", f"RGB {color}; in 8 bits {rgb}")
+    yield from wrapped("truth", f"RGB {color}; in 8 bits {rgb}")
     if told.calls or told.margins:
         yield from _margins(told)
     for note in told.notes:
-        yield from _wrapped("note", note, "yellow")
+        yield from wrapped("note", note, "yellow")
 
 
 def _margins(told: Explanation) -> Iterator[Line]:
     text = "relative changes of the ray and the scene's numbers that could turn a decision:"
-    yield from _wrapped("margins", text)
+    yield from wrapped("margins", text)
     near = False
     for kind in MARGINS:
         call = told.calls.get(kind)
@@ -161,10 +161,10 @@ def _margins(told: Explanation) -> Iterator[Line]:
             about = decision(told.scene, key) if key else ""
             if call and call.margin > 10 * margin > 0:  # margins of pixels are bounds, on the safe side
                 about += f" (which takes a change of {number(call.margin)})"
-            yield from _wrapped("", f"{kind:<11} {margin:<8.2g} {about}".rstrip(), hang=LABEL + 21)
+            yield from wrapped("", f"{kind:<11} {margin:<8.2g} {about}".rstrip(), hang=LABEL + 21)
             near = True
     if not near:
-        yield from _wrapped("", "none: no small change turns any")
+        yield from wrapped("", "none: no small change turns any")
 
 
 # ---- one ray
@@ -175,14 +175,14 @@ def _bounce(told: Explanation, bounce: Bounce) -> Iterator[Line]:
     if bounce.bounce:
         title += f", which counts {show(bounce.weight)} (the product of the Kr before it)"
     yield title, "bold"
-    yield from _wrapped("from", vector(bounce.origin) + ": the eye" * (bounce.bounce == 0))
+    yield from wrapped("from", vector(bounce.origin) + ": the eye" * (bounce.bounce == 0))
     if bounce.bounce:
-        yield from _wrapped("along", f"{vector(bounce.direction)}: d - 2 (d.N) N; hits count from t > 0")
+        yield from wrapped("along", f"{vector(bounce.direction)}: d - 2 (d.N) N; hits count from t > 0")
     else:
         along = ", ".join(_short(ball.value) for ball in bounce.direction)
         exact = all(ball.contains(ball.value) for ball in bounce.direction)
         exactly = "exactly, not normalised" if exact else "rounded to float64, not normalised"
-        yield from _wrapped("along", f"({along}) {exactly}; hits count from t > 1, the near plane")
+        yield from wrapped("along", f"({along}) {exactly}; hits count from t > 1, the near plane")
     yield from _crossings(told, bounce)
     yield from _ties(told, bounce, -1)
     if bounce.sphere < 0:
@@ -192,9 +192,9 @@ def _bounce(told: Explanation, bounce: Bounce) -> Iterator[Line]:
     assert bounce.normal is not None
     assert bounce.distance is not None
     away = f"{show(bounce.distance)} from the {'start' if bounce.bounce else 'eye'}"
-    yield from _wrapped("point", f"{vector(bounce.point)}, {away}")
+    yield from wrapped("point", f"{vector(bounce.point)}, {away}")
     side = "turned inwards, where the ray comes from" if bounce.inside else "outwards"
-    yield from _wrapped("normal", f"{vector(bounce.normal)}, {side}")
+    yield from wrapped("normal", f"{vector(bounce.normal)}, {side}")
     for light in bounce.lights:
         yield from _light(told, bounce, light)
         yield from _ties(told, bounce, light.light)
@@ -222,13 +222,13 @@ def _tie(told: Explanation, tie: Tie) -> Iterator[Line]:
     if tie.settled:
         others = [color for color in tie.outcomes if color != tie.outcomes[0]]
         else_ = "".join(f" Otherwise the pixel would be {vector(color)}." for color in others)
-        yield from _wrapped("EXACTLY", f"{even}. The specification: {tie.settled}.{else_}", "cyan")
+        yield from wrapped("EXACTLY", f"{even}. The specification: {tie.settled}.{else_}", "cyan")
         return
     if len(tie.outcomes) == 1:
-        yield from _wrapped("EXACTLY", f"{even}. Nothing settles it; the pixel is the same either way.", "cyan")
+        yield from wrapped("EXACTLY", f"{even}. Nothing settles it; the pixel is the same either way.", "cyan")
         return
     outcomes = " or ".join(map(vector, tie.outcomes))
-    yield from _wrapped("EXACTLY", f"{even}. Nothing settles it: the pixel may be {outcomes}.", "yellow")
+    yield from wrapped("EXACTLY", f"{even}. Nothing settles it: the pixel may be {outcomes}.", "yellow")
 
 
 def _crossings(told: Explanation, bounce: Bounce) -> Iterator[Line]:
@@ -240,11 +240,11 @@ def _crossings(told: Explanation, bounce: Bounce) -> Iterator[Line]:
         t = bounce.t if entry.what == "hit" and bounce.t is not None else times[place]
         text = f"{of_sphere(scene, entry.sphere)} at t = {show(t, begins, *others)}"
         text += _side(bounce, entry, begins)
-        yield from _wrapped("hits" if entry.what == "hit" else "  behind", text, "bold" if entry.what == "hit" else "")
+        yield from wrapped("hits" if entry.what == "hit" else "  behind", text, "bold" if entry.what == "hit" else "")
     if not met:
-        yield from _wrapped("hits", "nothing")
+        yield from wrapped("hits", "nothing")
     if len(met) > LISTED:
-        yield from _wrapped("  behind", f"and {len(met) - LISTED} other spheres")
+        yield from wrapped("  behind", f"and {len(met) - LISTED} other spheres")
     before = [entry for entry in bounce.crossings if entry.what == "before" and (bounce.bounce == 0)]
     shown = []
     for entry in before:
@@ -253,12 +253,12 @@ def _crossings(told: Explanation, bounce: Bounce) -> Iterator[Line]:
             times_of = " and ".join(show(root, 1.0) for root in entry.roots)
             shown.append(f"{of_sphere(scene, entry.sphere)} at t = {times_of}")
     for text in shown[:LISTED]:
-        yield from _wrapped("no hit", f"{text}: before the near plane")
+        yield from wrapped("no hit", f"{text}: before the near plane")
     ahead = [entry for entry in bounce.crossings if entry.what == "missed" and entry.closest.value > begins]
     if ahead:
         names = [f"{of_sphere(scene, entry.sphere)} at {show(entry.radii, 1.0, digits=4)}" for entry in ahead[:LISTED]]
         more = f" and {len(ahead) - LISTED} more" * (len(ahead) > LISTED)
-        yield from _wrapped("misses", f"{', '.join(names)} radii from the centre (1: the outline){more}")
+        yield from wrapped("misses", f"{', '.join(names)} radii from the centre (1: the outline){more}")
 
 
 def entry_t(entry: Crossing, begins: float) -> Ball:
@@ -285,7 +285,7 @@ def _side(bounce: Bounce, entry: Crossing, begins: float) -> str:
 def _light(told: Explanation, bounce: Bounce, seen: LightSeen) -> Iterator[Line]:
     label, name = f"light {seen.light}", f"'{told.scene.lights[seen.light].name}'"
     if seen.cosine is None or seen.shine is None:
-        yield from _wrapped(label, f"{name} is at the point itself: it counts as visible and adds nothing")
+        yield from wrapped(label, f"{name} is at the point itself: it counts as visible and adds nothing")
         return
     angle = f"N.L = {show(seen.cosine, 1.0)}"
     if seen.state == "behind":
@@ -298,9 +298,9 @@ def _light(told: Explanation, bounce: Bounce, seen: LightSeen) -> Iterator[Line]
         state = "visible"
         if told.scene.spheres[bounce.sphere].ks > 0:
             angle += f", R.V = {show(seen.shine, 1.0)}" + ": no highlight" * (seen.shine.value <= 0)
-    yield from _wrapped(label, f"{name}: {state}; {angle}")
+    yield from wrapped(label, f"{name}: {state}; {angle}")
     for j, t in seen.beside:
-        yield from _wrapped("", _beside(told, j, t))
+        yield from wrapped("", _beside(told, j, t))
 
 
 def hiders(told: Explanation, seen: LightSeen) -> str:
@@ -381,8 +381,25 @@ def _passes(told: Explanation) -> Iterator[Line]:
         yield f"  {name:<13} {_value(told, name, values)}{unseen}", ""
         yield from others
     if zero:
-        yield from _wrapped("0", ", ".join(zero), indent=16)
+        yield from wrapped("0", ", ".join(_ranges(zero)), indent=16)
     yield from _levels(told, drawn)
+
+
+def _ranges(names: Sequence[str]) -> Iterator[str]:
+    """Passes of three bounces or more in a row as one: "reflection.4 to .99"."""
+
+    def follows(a: str, b: str) -> bool:
+        (stem, _, number), (other, _, next_) = a.partition("."), b.partition(".")
+        return stem == other and number.isdigit() and next_.isdigit() and int(next_) == int(number) + 1
+
+    runs: list[list[str]] = []
+    for name in names:
+        if runs and follows(runs[-1][-1], name):
+            runs[-1].append(name)
+        else:
+            runs.append([name])
+    for run in runs:
+        yield from [f"{run[0]} to .{run[-1].partition('.')[2]}"] if len(run) > 2 else run
 
 
 def _follows(drawn: Drawn, name: str, first: str, truth: Sequence[Ball]) -> bool:
@@ -396,7 +413,7 @@ def _follows(drawn: Drawn, name: str, first: str, truth: Sequence[Ball]) -> bool
 def _levels(told: Explanation, drawn: Sequence[Drawn]) -> Iterator[Line]:
     same = [entry.renderer for entry in drawn if entry.levels == told.levels]
     text = ", ".join(map(str, told.levels)) + (f", also {', '.join(same)}" if same else "")
-    yield from _wrapped("8-bit RGB", text, indent=16)
+    yield from wrapped("8-bit RGB", text, indent=16)
     for entry in drawn:
         if entry.levels is not None and entry.levels != told.levels:
             levels = ", ".join(map(str, entry.levels))
@@ -408,17 +425,17 @@ def _renderers(told: Explanation) -> Iterator[Line]:
     yield "RENDERERS", "bold"
     agree = [entry.renderer for entry in told.drawn if not entry.reason and not entry.differences]
     if agree:
-        yield from _wrapped("agree", f"no difference beyond what it may be off by: {', '.join(agree)}", "green")
+        yield from wrapped("agree", f"no difference beyond what it may be off by: {', '.join(agree)}", "green")
     for entry in told.drawn:
         if entry.differences:
             told_first = f"{entry.renderer}: first difference: {first_difference(told, entry)}"
-            yield from _wrapped("differs", told_first, "red")
+            yield from wrapped("differs", told_first, "red")
             for more in (_edge(told, entry, entry.differences[0]), entry.verdict):
                 if more:
-                    yield from _wrapped("", more)
+                    yield from wrapped("", more)
     for entry in told.drawn:
         if entry.reason:
-            yield from _wrapped("not drawn", f"{entry.renderer} {entry.reason}", "yellow")
+            yield from wrapped("not drawn", f"{entry.renderer} {entry.reason}", "yellow")
     if not told.drawn:
         yield "  none", ""
 

@@ -53,9 +53,14 @@ class Levels:
     max: int
 
 
+def shown(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """The 8-bit image of linear colours; bytes are one already."""
+    return values if values.dtype == np.uint8 else quantise(values)
+
+
 def levels(a: NDArray[Any], b: NDArray[Any]) -> Levels:
-    """Differences of the 8-bit images of linear colours."""
-    steps = np.abs(quantise(a).astype(np.int16) - quantise(b).astype(np.int16)).max(axis=-1)
+    """Differences of the 8-bit images of linear colours, or of bytes."""
+    steps = np.abs(shown(a).astype(np.int16) - shown(b).astype(np.int16)).max(axis=-1)
     return Levels(int((steps == 1).sum()), int((steps > 1).sum()), int(steps.max(initial=0)))
 
 
@@ -75,7 +80,7 @@ class ColorDifference:
 
 def ciede2000(a: NDArray[Any], b: NDArray[Any]) -> ColorDifference:
     """The difference that an eye sees between the 8-bit images, shown as sRGB as every viewer does."""
-    first, second = quantise(a), quantise(b)
+    first, second = shown(a), shown(b)
     differs = (first != second).any(axis=-1)
     if not differs.any():
         return ColorDifference(0.0, 0.0)

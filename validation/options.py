@@ -12,9 +12,13 @@ import click
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Those of tracer.passes, which takes longer to import than help may take; a test holds them together.
-SAMPLES = ("corner", "center", "bottom-left", "inclusive")
+SAMPLES = ("corner", "center", "bottom-left", "top-right", "inclusive")
 #: As tracer limits them.
 MOST_THREADS = 1024
+#: A whole number of more digits than any of ours.
+TOO_LONG = re.compile("0*[1-9][0-9]{18,}")
+#: What --no-limits allows; a test holds the number to that of the command line.
+NO_LIMITS = "Allow more than five spheres and lights, and more than 100000 columns or rows."
 
 
 class BadValueError(click.BadParameter):
@@ -36,7 +40,9 @@ class Whole(click.ParamType[int]):
         """As a number."""
         if isinstance(value, int):
             return value
-        if not re.fullmatch("[0-9]{1,18}", value) or not self.least <= int(value) <= (self.most or sys.maxsize):
+        if self.most is None and TOO_LONG.fullmatch(value):
+            self.refuse(f"'{value}' is too large", param, ctx)
+        if not re.fullmatch("0*[0-9]{1,18}", value) or not self.least <= int(value) <= (self.most or sys.maxsize):
             upward = "on" if self.most is None else f"to {self.most}"
             self.refuse(f"'{value}' is not a whole number from {self.least} {upward}", param, ctx)
         return int(value)
@@ -59,7 +65,7 @@ class Place(Whole):
 
 
 class Names(click.ParamType[tuple[str, ...]]):
-    """A list of names with commas between them."""
+    """A list of names with commas between them; `cmd:` and all that follows is one."""
 
     name = "NAME[,NAME...]"
 
@@ -67,7 +73,9 @@ class Names(click.ParamType[tuple[str, ...]]):
         """Split at the commas."""
         if isinstance(value, tuple):
             return value
-        parts = tuple(part.strip() for part in value.split(","))
+        # A command may have commas of its own.
+        names, *command = re.split(r"(?:^|,)\s*(?=cmd:)", value, maxsplit=1)
+        parts = tuple(part.strip() for part in (*(names.split(",") if names or not command else ()), *command))
         if not all(parts):
             self.fail(f"'{value}' has an empty name", param, ctx)
         return tuple(dict.fromkeys(parts))
@@ -82,9 +90,13 @@ class Size(click.ParamType[tuple[int, int]]):
         """Two positive integers."""
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", value)
+        found = re.fullmatch(r"0*([0-9]+)x0*([0-9]+)", value)
         if not found:
             self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
+        if "0" in found.groups():
+            self.fail(f"'{value}' is not a size: at least 1x1", param, ctx)
+        if max(map(len, found.groups())) > 9:
+            self.fail(f"'{value}' is too large", param, ctx)
         return int(found[1]), int(found[2])
 
 
@@ -99,6 +111,8 @@ class Count(Whole):
             return value
         if value == "all":
             return sys.maxsize
+        if TOO_LONG.fullmatch(value):
+            self.refuse(f"'{value}' is too large", param, ctx)
         if not re.fullmatch(r"0*[1-9][0-9]{0,17}", value):
             self.refuse(f"'{value}' is not a number of pixels from 1 on, or 'all'", param, ctx)
         return int(value)
@@ -120,15 +134,20 @@ def epsilon(_: click.Context, parameter: click.Parameter, value: float) -> float
 
 def settings_options(function: Function) -> Function:
     """The options that `raytrace` has too."""
+    sample = click.option(
+        "--sample",
+        type=click.Choice(SAMPLES),
+        default="corner",
+        show_default=True,
+        help="Where in its pixel a ray goes through.",
+    )
+    return sample(drawing_options(function))
+
+
+def drawing_options(function: Function) -> Function:
+    """The same without --sample."""
     for option in reversed(
         (
-            click.option(
-                "--sample",
-                type=click.Choice(SAMPLES),
-                default="corner",
-                show_default=True,
-                help="Where in its pixel a ray goes through.",
-            ),
             click.option(
                 "--shadow-epsilon",
                 type=float,
@@ -153,9 +172,7 @@ def settings_options(function: Function) -> Function:
                 metavar="N",
                 help="Threads; 0, the default: all.",
             ),
-            click.option(
-                "--no-limits", is_flag=True, help="Allow more than five spheres and lights, and large images."
-            ),
+            click.option("--no-limits", is_flag=True, help=NO_LIMITS),
         )
     ):
         function = option(function)

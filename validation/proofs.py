@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from tracer.passes import Passes, lookup, names, write_beside
 from validation.compare import json_value
+from validation.explain import of_light, of_sphere
+from validation.explain_text import vector, wrapped
 from validation.follow import KINDS, Key
 from validation.run import versions
 from validation.terminal import number
@@ -40,6 +42,8 @@ PROVED = 10
 SHOWN = 20
 #: Digits of a colour: as they are printed, and as they are written.
 PRINTED_DIGITS, WRITTEN_DIGITS = 30, 40
+#: Columns before what is said about a pixel.
+INDENT = 10
 #: Other processes take a second to start: they are worth it where the rest of the pixels takes several.
 TRIED, WORTH_SECONDS = 512, 3.0
 
@@ -121,20 +125,16 @@ def at_most(value: float) -> str:
 
 def words(key: Key, scene: Scene) -> str:
     """A decision that is a tie, as a sentence without its end."""
-
-    def sphere(j: int) -> str:
-        return f"sphere {j} ({scene.spheres[j].name})"
-
     ray = f"reflected ray {key.bounce}" if key.bounce else "the primary ray"
     if key.light >= 0:
-        lamp = f"light {key.light} ({scene.lights[key.light].name})"
+        lamp = of_light(scene, key.light)
         place = f"hit {key.bounce}" if key.bounce else "the primary hit"
         ray = f"the shadow ray from {place} to {lamp}"
         if key.what in ("faces", "shines"):
             return f"{'N.L' if key.what == 'faces' else 'R.V'} = 0 at {place} for {lamp}"
-    touched = sphere(key.sphere)
+    touched = of_sphere(scene, key.sphere)
     if key.what == "order":
-        return f"{ray} hits {touched} and {sphere(key.other)} at the same t"
+        return f"{ray} hits {touched} and {of_sphere(scene, key.other)} at the same t"
     return {
         "meets": f"{ray} touches {touched}",
         "start": f"{ray} meets {touched} just where it begins to count",
@@ -175,18 +175,19 @@ def pixel_record(truth: Truth, scene: Scene) -> Record:
 def block(truth: Truth, scene: Scene) -> Iterator[str]:
     """The lines about one pixel."""
     yield f"pixel {truth.x} {truth.y}"
-    yield "  id      " + (f"{truth.id} ({scene.spheres[truth.id].name})" if truth.id >= 0 else "-1 (background)")
+    yield "  id      " + (of_sphere(scene, truth.id) if truth.id >= 0 else "-1, nothing")
     for place, (channel, ball) in enumerate(zip("RGB", truth.values["beauty"], strict=True)):
         text, error = decimals(ball, PRINTED_DIGITS)
         yield f"  {'' if place else 'beauty':<7} {channel} {text} " + (f"+/- {at_most(error)}" if error else "exactly")
     yield f"  bits    {truth.bits}"
     for tie in truth.ties:
         what = words(tie.key, scene) if tie.proved else f"{words(tie.key, scene)}, or almost"
-        yield f"  tie     {what}: {tie.settled or 'the specification does not settle this'}"
+        what += f": {tie.settled or 'the specification does not settle this'}"
+        yield from (line for line, _ in wrapped("tie", what, indent=INDENT))
         if len(tie.outcomes) == 1:
-            yield "          makes no difference to beauty"
+            yield " " * INDENT + "makes no difference to beauty"
         for outcome in tie.outcomes if len(tie.outcomes) > 1 else ():
-            yield f"          beauty {' '.join(map(repr, outcome))}" + " or" * (outcome is not tie.outcomes[-1])
+            yield " " * INDENT + f"beauty {vector(outcome)}" + " or" * (outcome is not tie.outcomes[-1])
 
 
 @dataclass

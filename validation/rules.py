@@ -26,13 +26,15 @@ class Rule:
 
     `says`: a clause that follows a renderer's name, such as "ignores the near plane". `follower`: how truth follows it;
     `settings`: what else is different. `choices`: of a rule that leaves decisions open, every way to take some of them
-    otherwise at column x, row y, the likeliest first; it stands in the place of `follower`.
+    otherwise at column x, row y, the likeliest first; it stands in the place of `follower`. `wraps`: the colours are
+    right, but in a file those above 1 begin again at 0.
     """
 
     says: str
     follower: type[Follower] = Follower
     settings: Callable[[Settings], Settings] = field(default=lambda settings: settings)
     choices: Callable[[int, int], Iterator[type[Follower]]] | None = None
+    wraps: bool = False
 
 
 class _NoNearPlane(Follower):
@@ -189,6 +191,7 @@ MISTAKES = (
     Rule("lets light fall off with the square of the distance", _Falloff),
     Rule("clamps what a mirror shows to 1", _ClampedMirror),
     Rule("shows BACK where a reflected ray hits nothing", _MirroredBackground),
+    Rule("does not clamp colors: those above 1 begin again at 0", wraps=True),
 )
 
 
@@ -198,6 +201,7 @@ def mistakes(scene: Scene, settings: Settings) -> Iterator[Rule]:
         ("corner", "at the top-left corner of the pixels"),
         ("center", "at the centre of the pixels"),
         ("bottom-left", "at the bottom-left corner of the pixels"),
+        ("top-right", "at the top-right corner of the pixels"),
         ("inclusive", "from the first column and row to the last, both on the border"),
     ):
         if sample != settings.sample:

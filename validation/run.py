@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import math
 import platform
 import shlex
@@ -15,17 +16,21 @@ from fnmatch import fnmatchcase as fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 import tracer
 import tracer.margins
+from tracer._render import check_memory as room_for
 from tracer.passes import TABLE, Passes, lookup, names
-from validation import renderers
+from validation import pairs, renderers
 from validation.compare import Comparison, Judge, Record, compare_passes, json_value
-from validation.renderers import Renderer, Settings
+from validation.encoding import Encoding
+from validation.renderers import Renderer, Settings, Uncertainty
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
-    from validation.verdict import Verdicts
+    from validation.verdict import Court, Verdicts
 
 #: Packages whose version goes into every result.
 PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint")
@@ -115,6 +120,8 @@ class Validation(Outcome):
 
     comparisons: list[Comparison] = field(default_factory=list)
     verdicts: list[Verdicts] = field(default_factory=list)
+    #: What was asked for and not compared, as a renderer lacks it: scene, renderer, pass.
+    lacking: set[tuple[str, str, str]] = field(default_factory=set)
 
     @property
     def ok(self) -> bool:
@@ -131,6 +138,22 @@ class Validation(Outcome):
         agree = all(comparison.ok for comparison in self.comparisons)
         return 0 if agree and all(verdicts.explained for verdicts in self.verdicts) else 1
 
+    def counts(self) -> dict[str, dict[str, dict[str, int]]]:
+        """By renderer and pass: comparisons made, those that agree, and scenes of which the renderer lacks the pass."""
+        found: dict[str, dict[str, dict[str, int]]] = {}
+
+        def entry(renderer: str, name: str) -> dict[str, int]:
+            return found.setdefault(renderer, {}).setdefault(name, {"compared": 0, "agree": 0, "lacking": 0})
+
+        for comparison in self.comparisons:
+            for renderer in (comparison.renderer, comparison.reference):
+                of = entry(renderer, comparison.pass_name)
+                of["compared"] += 1
+                of["agree"] += comparison.ok
+        for _, renderer, name in self.lacking:
+            entry(renderer, name)["lacking"] += 1
+        return {renderer: dict(sorted(passes.items())) for renderer, passes in sorted(found.items())}
+
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
         entry: Record = {
@@ -138,6 +161,8 @@ class Validation(Outcome):
             "command": list(self.command),
             "settings": vars(self.settings).copy(),
             "versions": self.versions,
+            "counts": self.counts(),
+            "pairs": pairs.record(self.comparisons),
             "comparisons": [comparison.record() for comparison in self.comparisons],
             "verdicts": [verdicts.record() for verdicts in self.verdicts],
             "notes": [vars(note).copy() for note in self.notes],
@@ -180,10 +205,30 @@ def blaming() -> Iterator[None]:
         raise RendererError(f"failed: {type(error).__name__}: {error}") from error
 
 
+def encoding_of(renderer: Renderer, passes: Passes) -> Encoding | None:
+    """How levels stand for colours in what a renderer drew; None: it drew colours."""
+    encoding: Encoding | None = getattr(renderer, "encoding", None)
+    return replace(encoding, steps=int(passes.metadata["levels"])) if encoding else None
+
+
 def why_not(renderer: Renderer, scene: Scene) -> str:
     """Why a renderer cannot carry a scene; "" where it gives no reason, as it does not have to."""
     refusal = getattr(renderer, "refusal", None)
     return str(refusal(scene)) if refusal else ""
+
+
+def check_memory(
+    label: str, scene: Scene, passes: Sequence[str], *, precision: str = "f64", fewer: str = "--passes"
+) -> None:
+    """Whether passes of a scene fit into the memory; `fewer`: the option that asks for less.
+
+    Raises:
+        InputError: they do not.
+    """
+    try:
+        room_for(passes, scene.view.columns, scene.view.rows, np.dtype("f8" if "64" in precision else "f4"))
+    except MemoryError as error:
+        raise InputError(f"{label}: error: {error}\n  hint: a smaller --size, or fewer {fewer}") from error
 
 
 def draw(renderer: Renderer, label: str, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
@@ -193,6 +238,8 @@ def draw(renderer: Renderer, label: str, scene: Scene, passes: Sequence[str], se
         InputError: the scene has numbers that it cannot carry, or the size is too large for the memory.
         RendererError: it failed.
     """
+    # What does not say its precision may be as small as float32.
+    check_memory(label, scene, passes, precision=getattr(renderer, "precision", "f32"))
     with blaming():
         try:
             drawn = renderer.render(scene, tuple(passes), settings)
@@ -338,43 +385,50 @@ def validate(
     verdicts: int = MOST_VERDICTS,
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
+    all_pairs: bool = False,
 ) -> Validation:
     """Draw every scene with every renderer and every reference, and compare each pair pass by pass.
 
     `scenes`: Scene objects by name, or paths of files and folders. `passes`: None compares all that both have; one
     asked for that a renderer lacks is a failure. `size`: instead of the scene's own. Passes that a renderer cannot draw
     in time at this size are compared at a smaller one, and a note says so. `verdicts`: the most pixels of a scene and
-    pair that are judged where they differ; of more a random sample.
+    pair that are judged where they differ; of more a random sample. `all_pairs`: every pair of all of them, each drawn
+    once.
 
     Raises:
         SceneFilesError: a scene cannot be read.
         renderers.UnknownRendererError: no renderer has that name.
         ValueError: no pass has that name.
         SceneError: the size is beyond the limits.
+        InputError: the passes at that size do not fit into the memory.
     """
     settings = settings or Settings()
     check_passes(passes or ())
     if not isinstance(scenes, Mapping):
         scenes = load_scenes(scenes, limits=limits)
+    at_sizes = {
+        label: resized(scene, size, limits=None if limits else False) if size else scene
+        for label, scene in scenes.items()
+    }
+    for label, scene in at_sizes.items():
+        check_memory(label, scene, _asked(scene, settings, passes))
     tested, references = _renderers(renderer), _renderers(against)
     every = dict.fromkeys([*tested, *references])
     result = Validation(settings=settings, versions=versions(every))
     usable = result.usable(every)
-    pairs = [
+    against_each = itertools.combinations(every, 2) if all_pairs else itertools.product(tested, references)
+    chosen = [
         (first, second)
-        for first in tested
-        for second in references
+        for first, second in against_each
         if first.name != second.name and first in usable and second in usable
     ]
-    for label, scene in scenes.items():
-        drawn: dict[tuple[str, tuple[int, int]], Passes | None] = {}
-        analyses: dict[tuple[int, int], Analysis] = {}
-        at_size = resized(scene, size, limits=None if limits else False) if size else scene
-        for first, second in pairs:
+    for label, at_size in at_sizes.items():
+        shared = _Shared()
+        for first, second in chosen:
             if progress:
                 progress(f"{label}: {first.name} against {second.name}")
             try:
-                _pair(result, label, at_size, first, second, passes, verdicts, drawn, analyses, on_rendered)
+                _pair(result, label, at_size, first, second, passes, verdicts, shared, on_rendered)
             except _PairError as error:
                 result.fail(error.note)
     return result
@@ -388,6 +442,12 @@ def check_passes(wanted: Iterable[str]) -> None:
         row = next((row for row in TABLE if row.name == name), None) or lookup(name)
         if row.quantity == "margin":
             raise ValueError(f"'{name}' is not compared: margins say where edges are, no renderer under test has them")
+
+
+def _asked(scene: Scene, settings: Settings, passes: Sequence[str] | None) -> list[str]:
+    """The passes of a scene that are compared, where both sides have them; None: all."""
+    every = names(len(scene.lights), settings.max_reflections, margins=False)
+    return [name for name in every if passes is None or any(fnmatch(name, wanted) for wanted in passes)]
 
 
 def _renderers(asked: str | Renderer | Sequence[str | Renderer]) -> list[Renderer]:
@@ -413,6 +473,16 @@ def _of(label: str, renderer: Renderer) -> Iterator[None]:
         raise _PairError(Note(label, renderer.name, str(error))) from error
 
 
+@dataclass
+class _Shared:
+    """What pairs share of one scene, by its size and by renderer."""
+
+    drawn: dict[tuple[str, tuple[int, int]], Passes | None] = field(default_factory=dict)
+    analyses: dict[tuple[int, int], Analysis] = field(default_factory=dict)
+    claims: dict[tuple[str, tuple[int, int]], Uncertainty] = field(default_factory=dict)
+    courts: dict[tuple[int, int], Court] = field(default_factory=dict)
+
+
 def _pair(
     result: Validation,
     label: str,
@@ -421,21 +491,23 @@ def _pair(
     second: Renderer,
     passes: Sequence[str] | None,
     verdicts: int,
-    drawn: dict[tuple[str, tuple[int, int]], Passes | None],
-    analyses: dict[tuple[int, int], Analysis],
+    shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
 ) -> None:
     """Compare one pair on one scene; what is drawn once is kept for the next pair."""
     settings = result.settings
     every = names(len(scene.lights), settings.max_reflections, margins=False)
-    asked = [name for name in every if passes is None or any(fnmatch(name, wanted) for wanted in passes)]
+    asked = _asked(scene, settings, passes)
     delivers: dict[str, Sequence[str]] = {}
     for side in (first, second):
         with _of(label, side):
             delivers[side.name] = tuple(side.passes(scene, settings))
         if not delivers[side.name]:
             why = f" ({why_not(side, scene)})".removesuffix(" ()")
-            result.notes.append(Note(label, side.name, f"cannot carry this scene{why}: not compared"))
+            note = Note(label, side.name, f"cannot carry this scene{why}: not compared")
+            if note not in result.notes:  # that of another pair
+                result.notes.append(note)
+            result.lacking |= {(label, side.name, name) for name in asked}
             return
     # The same for every pair, so that what is drawn for one serves the next.
     drawing_of = {
@@ -443,11 +515,17 @@ def _pair(
     }
     pair = f"{first.name} against {second.name}"
     missing = [name for name in asked if not all(name in have for have in delivers.values())]
+    for side in (first, second):
+        lacks = [name for name in missing if name not in delivers[side.name]]
+        result.lacking |= {(label, side.name, name) for name in lacks}
+        note = Note(label, side.name, f"not compared, as it does not deliver them: {', '.join(lacks)}")
+        if lacks and passes is None and note not in result.notes:
+            result.notes.append(note)
     if missing and passes is None:
-        result.notes.append(Note(label, pair, f"not compared, as one of them lacks them: {', '.join(missing)}"))
         asked = [name for name in asked if name not in missing]
     if not asked:
-        result.notes.append(Note(label, pair, "not compared: the scene has none of the passes asked for"))
+        why = f"the scene has none of the passes asked for, but {', '.join(every)}"
+        result.notes.append(Note(label, pair, f"not compared: {why}"))
         return
     columns, rows = scene.view.columns, scene.view.rows
     large = shrink(columns, rows, ANALYSIS_MAX_PIXELS)
@@ -478,7 +556,7 @@ def _pair(
         rounds.append((small, rest, drawing_of))
     for size, compared, drawing in rounds:
         at_size = resized(scene, size)
-        _compare(result, label, at_size, first, second, compared, verdicts, drawing, drawn, analyses, on_rendered)
+        _compare(result, label, at_size, first, second, compared, verdicts, drawing, shared, on_rendered)
 
 
 def _in_time(side: Renderer, scene: Scene, passes: Sequence[str]) -> list[str]:
@@ -507,31 +585,33 @@ def _compare(
     passes: Sequence[str],
     verdicts: int,
     draw: Mapping[str, Sequence[str]],
-    drawn: dict[tuple[str, tuple[int, int]], Passes | None],
-    analyses: dict[tuple[int, int], Analysis],
+    shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
 ) -> None:
     """Compare passes of one pair at the size of the scene; `draw`: what either draws at this size."""
     settings, at = result.settings, (scene.view.columns, scene.view.rows)
     for side in (first, second):
-        if (side.name, at) not in drawn:
-            drawn[side.name, at] = _draw(result, label, scene, side, draw[side.name])
-    a, b = drawn[first.name, at], drawn[second.name, at]
+        if (side.name, at) not in shared.drawn:
+            shared.drawn[side.name, at] = _draw(result, label, scene, side, draw[side.name])
+    a, b = shared.drawn[first.name, at], shared.drawn[second.name, at]
     if a is None or b is None:
         return
-    if at not in analyses:
-        analyses[at] = tracer.margins.analyse(
+    if at not in shared.analyses:
+        shared.analyses[at] = tracer.margins.analyse(
             scene,
             sample=settings.sample,
             shadow_epsilon=settings.shadow_epsilon,
             max_reflections=settings.max_reflections,
         )
-    analysis = analyses[at]
-    claims = []
+    analysis = shared.analyses[at]
+    claims: list[Uncertainty] = []
     for side in (first, second):
         with _of(label, side):
-            claims.append(side.uncertainty(scene, settings, analysis))
-    judge = Judge(scene, settings, analysis, *claims)
+            if (side.name, at) not in shared.claims:
+                shared.claims[side.name, at] = side.uncertainty(scene, settings, analysis)
+            claims.append(shared.claims[side.name, at])
+    encodings = (encoding_of(first, a), encoding_of(second, b))
+    judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
     judged = None
     if any(comparison.maps is not None and comparison.maps.over.any() for comparison in found):
@@ -539,11 +619,13 @@ def _compare(
         from validation import verdict
 
         sides = [
-            verdict.Side(side, passes_of, claim)
-            for side, passes_of, claim in zip((first, second), (a, b), claims, strict=True)
+            verdict.Side(side, passes_of, claim, encoding)
+            for side, passes_of, claim, encoding in zip((first, second), (a, b), claims, encodings, strict=True)
         ]
         try:
-            judged = verdict.judge(scene, label, settings, analysis, sides[0], sides[1], found, most=verdicts)
+            court = shared.courts.setdefault(at, verdict.Court(scene, settings, analysis))
+            pair = sides[0], sides[1]
+            judged = verdict.judge(scene, label, settings, analysis, *pair, found, most=verdicts, court=court)
         except verdict.RulesError as error:
             result.fail(Note(label, error.renderer, str(error)))
     if judged:

@@ -6,7 +6,8 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,16 +17,22 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
+    from validation.check import Checked
     from validation.compare import Comparison
     from validation.run import Outcome, Validation
-    from validation.verdict import Verdicts
+    from validation.verdict import Group, Verdicts
 
 
 #: A terminal of fewer columns gets a smaller table.
 NARROW = 100
+#: Columns that the first column of a table has at least.
+MIN_ROOM = 16
 
 #: Kinds of verdicts of one scene and pair that are printed, the worst first.
 MOST_GROUPS = 12
+
+#: Conventions that explain an image equally well and are named.
+MOST_ALIKE = 3
 
 #: How the reason begins that Judge.edge_cap gives.
 TOO_MANY = "too many edge pixels"
@@ -75,7 +82,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         scenes.setdefault(at_size, []).append(comparison)
     for (renderer, reference), scenes in pairs.items():
         out.print(f"{renderer} against {reference}", style="bold", markup=False)
-        out.print(_table(scenes, verbose=verbose, narrow=out.width < NARROW))
+        out.print(_table(scenes, verbose=verbose, width=out.width))
         out.print()
     for alike in _alike(comparison for comparison in result.comparisons if not comparison.ok):
         most = max(alike, key=lambda comparison: comparison.edge)
@@ -86,12 +93,20 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
     undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(TOO_MANY)}
     if undecided - {"numpy-f64"}:
         click.echo("  hint: where there are too many edge pixels, --against numpy-f64 may decide more")
+    by_scene: dict[str, list[Verdicts]] = {}
     for verdicts in result.verdicts:
-        print_verdicts(verdicts)
+        by_scene.setdefault(verdicts.scene, []).append(verdicts)
+    for several in by_scene.values():
+        if len(several) == 1:
+            print_verdicts(several[0])
+        else:
+            _print_together(several)
+    _print_pairs(result)
     print_notes(result)
     if result.comparisons:
-        click.echo("interior, edge: pixels over tolerance / all; only interior ones have to agree")
-        click.echo("max error: of all pixels; /tolerance: error over tolerance of interior ones")
+        groups = [group for scenes in pairs.values() for group in scenes.values()]
+        for line in _legend(groups, verbose=verbose, width=out.width):
+            click.echo(line)
     print_failures(result)
     unexplained = sum(
         sum(not verdict.explained for verdict in verdicts.verdicts) + len(verdicts.unproved)
@@ -108,6 +123,67 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
         + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
     )
+
+
+def _print_together(several: Sequence[Verdicts]) -> None:
+    """The same of several pairs of one scene, what is the same once."""
+    from validation.verdict import together
+
+    judged = {(verdict.x, verdict.y) for verdicts in several for verdict in verdicts.verdicts}
+    sampled = any(len(verdicts.verdicts) + len(verdicts.unproved) < verdicts.differ for verdicts in several)
+    pixels = "1 pixel differs" if len(judged) == 1 else f"{len(judged)} pixels differ"
+    sample = ", of a random sample that was judged" if sampled else ""
+    click.echo(f"{several[0].scene} ({len(several)} pairs): {pixels}{sample}")
+    _print_groups(together(several))
+    _print_unproved(several)
+
+
+def _print_groups(groups: Sequence[Group]) -> None:
+    for group in groups[:MOST_GROUPS]:
+        mark = "" if group.explained else "UNEXPLAINED: " if group.finding.cause == "unexplained" else "WRONG: "
+        text = f"  {mark}{group.sentence()}"
+        click.secho(text, fg=None if group.explained else "red", color=colorful())
+    if len(groups) > MOST_GROUPS:
+        click.echo(f"  and {len(groups) - MOST_GROUPS} more kinds: --report and --json have them all")
+
+
+def _print_unproved(several: Sequence[Verdicts]) -> None:
+    unproved = list(dict.fromkeys(place for verdicts in several for place in verdicts.unproved))
+    if unproved:
+        x, y = unproved[0]
+        some = "1 pixel" if len(unproved) == 1 else f"{len(unproved)} pixels"
+        text = f"  UNEXPLAINED: {some}: truth could not be had at any precision (at {x} {y})"
+        click.secho(text, fg="red", color=colorful())
+
+
+def _print_pairs(result: Validation) -> None:
+    """Where more than two renderers were compared: who agrees with whom, and who stands alone."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from validation import pairs
+
+    if not pairs.several(result.comparisons):
+        return
+    names, matrix = pairs.names(result.comparisons), pairs.matrix(result.comparisons)
+    click.echo("all pairs: comparisons that agree, of how many")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for name in names:
+        table.add_column(name, justify="right", overflow="fold")
+    for name in names:
+        cells = [matrix.get((name, other)) for other in names]
+        table.add_row(
+            name,
+            *(
+                Text(f"{cell.agree}/{cell.made}", style="" if cell.agree == cell.made else "bold red") if cell else "-"
+                for cell in cells
+            ),
+        )
+    console().print(table)
+    for entry in pairs.alone(result.comparisons):
+        click.secho(entry.sentence(), fg="red", color=colorful())
+    click.echo()
 
 
 def print_notes(result: Outcome) -> None:
@@ -132,22 +208,12 @@ def print_verdicts(verdicts: Verdicts) -> None:
         sample = f", {judged} of them judged, chosen at random" if judged else ", none of them judged"
     pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
     click.echo(f"{verdicts.scene} ({verdicts.renderer}, {verdicts.reference}): {pixels}{sample}")
-    groups = verdicts.groups()
-    for group in groups[:MOST_GROUPS]:
-        mark = "" if group.explained else "UNEXPLAINED: " if group.finding.cause == "unexplained" else "WRONG: "
-        text = f"  {mark}{group.sentence()}"
-        click.secho(text, fg=None if group.explained else "red", color=colorful())
-    if len(groups) > MOST_GROUPS:
-        click.echo(f"  and {len(groups) - MOST_GROUPS} more kinds: --report and --json have them all")
+    _print_groups(verdicts.groups())
     both = sum(len(verdict.wrong) > 1 for verdict in verdicts.verdicts)
     if both:
         pixels = "1 pixel, at which both are off, is" if both == 1 else f"{both} pixels, at which both are off, are"
         click.echo(f"  ({pixels} in two of these lines)")
-    if verdicts.unproved:
-        x, y = verdicts.unproved[0]
-        some = "1 pixel" if len(verdicts.unproved) == 1 else f"{len(verdicts.unproved)} pixels"
-        text = f"  UNEXPLAINED: {some}: truth could not be had at any precision (at {x} {y})"
-        click.secho(text, fg="red", color=colorful())
+    _print_unproved([verdicts])
 
 
 def _alike(failed: Iterable[Comparison]) -> list[list[Comparison]]:
@@ -164,33 +230,101 @@ def _alike(failed: Iterable[Comparison]) -> list[list[Comparison]]:
     return list(groups.values())
 
 
-def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool, narrow: bool = False) -> Table:
+def paths(names: Iterable[str], room: int) -> dict[str, str]:
+    """Paths for a column of that width: whole, else without their folders where that tells them apart.
+
+    What is still too long goes on in the next line, behind a slash or a blank if it can.
+    """
+    shown = {name: name for name in names}
+    if any(len(name) > room for name in shown):
+        short = {name: name.rpartition("/")[2] for name in shown}
+        shown = short if len(set(short.values())) == len(short) else shown
+    for name, text in shown.items():
+        lines = [""]
+        for piece in re.findall("[^/ ]*[/ ]|[^/ ]+", text):
+            if lines[-1] and len(lines[-1] + piece.rstrip()) > room:
+                lines.append("")
+            lines[-1] += piece
+        shown[name] = "\n".join(line.rstrip() for line in lines)
+    return shown
+
+
+def fits(shown: Mapping[str, str], room: int) -> bool:
+    """Whether every line of such paths is short enough."""
+    return all(len(line) <= room for text in shown.values() for line in text.split("\n"))
+
+
+def room_for_names(width: int, columns: Iterable[Iterable[str]]) -> int:
+    """What is left of a line for the first column of a table; `columns`: what is in the others."""
+    return max(MIN_ROOM, width - sum(2 + max(map(len, texts)) for texts in columns))
+
+
+def _in_one_row(group: Sequence[Comparison]) -> tuple[str, Comparison, Comparison, Comparison]:
+    """All passes of a scene in one row: what to call it, and the passes that its columns are about.
+
+    That which comes nearest to its tolerance; that with the largest error to show, `beauty` if it was compared; that
+    with the most edge pixels over tolerance.
+    """
+    nearest = max(group, key=lambda entry: entry.ratio or 0)
+    seen = next((entry for entry in group if entry.pass_name == "beauty"), nearest)
+    edges = max(group, key=lambda entry: (entry.edge_over, entry.edge))
+    return (
+        f"all {len(group)}, worst {nearest.pass_name}" + ", edges differ" * bool(edges.edge_over),
+        nearest,
+        seen,
+        edges,
+    )
+
+
+def _one_row(group: Sequence[Comparison], *, verbose: bool) -> bool:
+    """Whether a scene has one row for all of its passes."""
+    return not verbose and all(entry.ok for entry in group)
+
+
+def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool, width: int) -> Table:
     """A row a scene and size that agrees, a row for every pass that does not; `verbose`: a row for every pass.
 
     `interior` and `edge` count pixels over tolerance of all such pixels.
     """
     from rich.table import Table
 
+    wide = width >= NARROW
+    headers = ["scene", "result", "pass", *["max error"] * wide, "/tolerance", "interior", "edge"]
+    rows: list[tuple[str, Text, list[str]]] = []
+    for scene, group in scenes.items():
+        told = [(entry.pass_name, entry, entry, entry) for entry in group if verbose or not entry.ok]
+        if _one_row(group, verbose=verbose):
+            told = [_in_one_row(group)]
+        for place, (label, nearest, seen, edges) in enumerate(told):
+            numbers = [number(nearest.ratio), f"{nearest.interior_over}/{nearest.interior}"]
+            texts = [label, *[number(seen.max)] * wide, *numbers, f"{edges.edge_over}/{edges.edge}"]
+            rows.append(("" if place else scene, _verdict(nearest.ok), texts))
+    cells = [[header, *(texts[k] for *_, texts in rows)] for k, header in enumerate(headers[2:])]
+    if not wide:
+        cells[0] = [word for text in cells[0] for word in text.split()]
+    room = room_for_names(width, [["result"], *cells])
+    shown = paths(scenes, room)
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("scene", overflow="fold", min_width=16)
+    table.add_column("scene", overflow="fold", no_wrap=fits(shown, room))
     table.add_column("result", no_wrap=True)
     table.add_column("pass", overflow="fold", min_width=10)
-    for header in ("/tolerance", "interior") if narrow else ("max error", "/tolerance", "interior", "edge"):
+    for header in headers[3:]:
         table.add_column(header, justify="right", no_wrap=True)
-    short = {scene: scene.rpartition("/")[2] for scene in scenes}
-    shorten = narrow and len(set(short.values())) == len(short)
-    for scene, group in scenes.items():
-        rows = [(entry.pass_name, entry) for entry in group if verbose or not entry.ok]
-        if not rows:
-            nearest = max(group, key=lambda entry: entry.ratio or 0)
-            rows = [(f"all {len(group)}, worst {nearest.pass_name}", nearest)]
-        for place, (label, entry) in enumerate(rows):
-            numbers = [number(entry.ratio), f"{entry.interior_over}/{entry.interior}"]
-            if not narrow:
-                numbers = [number(entry.max), *numbers, f"{entry.edge_over}/{entry.edge}"]
-            shown = short[scene] if shorten else scene
-            table.add_row(shown if place == 0 else "", _verdict(entry.ok), label, *numbers)
+    for scene, verdict, texts in rows:
+        table.add_row(shown.get(scene, ""), verdict, *texts)
     return table
+
+
+def _legend(groups: Iterable[Sequence[Comparison]], *, verbose: bool, width: int) -> Iterator[str]:
+    """What the columns are that are shown."""
+    wide = width >= NARROW
+    yield "interior, edge: pixels over tolerance / all; only interior ones have to agree"
+    yield "max error: of all pixels, edges included; " * wide + "/tolerance: error over tolerance of interior ones"
+    rows = [group for group in groups if _one_row(group, verbose=verbose)]
+    if rows:
+        beauty = all(any(entry.pass_name == "beauty" for entry in group) for group in rows)
+        error = f"max error: of beauty{'' if beauty else ' or else of that pass'}; " * wide
+        yield f"all: /tolerance and interior of the worst pass; {error}edge: of that with most over"
 
 
 def _worst(comparison: Comparison, *, levels: bool = False) -> str:
@@ -220,6 +354,37 @@ def print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str,
             Text(", ".join(entry["passes"]) if usable else entry["reason"]),
         )
     console().print(table)
+    sys.stdout.flush()
+    for name, reason in failures.items():
+        complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}")
+
+
+def print_passes(entries: Sequence[Mapping[str, Any]], failures: Mapping[str, str]) -> None:
+    """A row for each pass, a column for each renderer."""
+    from rich.table import Table
+    from rich.text import Text
+
+    out = console()
+    every = list(dict.fromkeys(name for entry in entries for name in entry["sources"]))
+    width = max((len(name) for name in every), default=0)
+    # As many columns side by side as there is room for.
+    side_by_side = max(1, (out.width - width) // max((len(entry["name"]) + 2 for entry in entries), default=1))
+    for first in range(0, len(entries), side_by_side):
+        some = entries[first : first + side_by_side]
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("pass", no_wrap=True)
+        for entry in some:
+            table.add_column(entry["name"], no_wrap=True)
+        for name in every:
+            cells = [entry["sources"].get(name) for entry in some]
+            told = [f"{cell['how']}{'' if cell['always'] else ' *'}" if cell else "-" for cell in cells]
+            table.add_row(name, *told)
+        table.add_row(Text("precision", style="italic"), *(entry["precision"] or "-" for entry in some))
+        table.add_row(Text("here", style="italic"), *("yes" if entry["available"] else "no" for entry in some))
+        out.print(table)
+        out.print()
+    click.echo("stock: by the program itself; plugin: with code of ours in it; derived: from other pictures it draws")
+    click.echo("*: only of scenes that it can say so; which of them it tells in a note")
     sys.stdout.flush()
     for name, reason in failures.items():
         complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}")
@@ -255,3 +420,44 @@ def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> N
                 + "; ".join(reasons)
                 + _worst(comparison, levels=levels).removeprefix("; " * (not reasons))
             )
+
+
+def print_check(result: Checked) -> None:
+    """The convention of images, what it explains, what is left, and why."""
+    fit = result.fit
+    if fit is not None:
+        share = f"{fit.explained} of {fit.pixels} pixels"
+        click.echo(f"convention: {'; '.join(fit.convention.says)}")
+        if fit.convention.specified:
+            click.echo(f"  that of the specification; it makes {share} byte by byte")
+        else:
+            click.echo(f"  it makes {share} byte by byte, the specification's makes {fit.plain}")
+        if fit.mistake:
+            click.echo(f"  fitted with the mistake that most of the rest shows: the program {fit.mistake}")
+        if fit.alike:
+            others = "; or ".join(", ".join(other.says) for other in fit.alike[:MOST_ALIKE])
+            more = len(fit.alike) - MOST_ALIKE
+            click.echo(f"  as many are made by: {others}" + (f", and {more} more" if more > 0 else ""))
+        if fit.wraps:
+            click.secho("  colors above 1 are not clamped: they begin again at 0", fg="red", color=colorful())
+    for entry in result.left:
+        if not entry.off:
+            click.echo(f"{entry.label}: nothing is left, all {entry.pixels} pixels are explained")
+            continue
+        levels = f"{entry.by_one} off by 1 level, {entry.by_more} by more"
+        places = f"{entry.edge} at edges, {entry.interior} in the interior"
+        click.echo(f"{entry.label}: {entry.off} of {entry.pixels} pixels are left: {levels}; {places}")
+    causes: Counter[str] = Counter()
+    for verdicts in result.validation.verdicts:
+        causes.update(verdict.renderer.because for verdict in verdicts.verdicts if verdict.renderer.cause == "mistake")
+    judged = sum(len(verdicts.verdicts) for verdicts in result.validation.verdicts)
+    for because, count in causes.most_common(MOST_GROUPS):
+        says = because.removeprefix("truth makes this pixel if it ")
+        click.secho(f"most likely: it {says} ({count} of {judged} pixels judged)", fg="red", color=colorful())
+    for verdicts in result.validation.verdicts:
+        print_verdicts(verdicts)
+    print_notes(result.validation)
+    print_failures(result.validation)
+    if result.validation.comparisons:
+        right = "right" if fit is None or fit.convention.specified else "right but for its convention"
+        click.echo(right if result.status == 0 else "not right")

@@ -154,6 +154,17 @@ class UnprovedError(ArithmeticError):
 NOWHERE = (ArithmeticError, FlintError)
 
 
+@dataclass
+class Allowance:
+    """What exact work may take, in bits of sums and products: see `exact.BUDGET`."""
+
+    left: int = BUDGET
+
+    def restore(self) -> None:
+        """As at first."""
+        self.left = BUDGET
+
+
 class _Signs:
     """Signs of balls; those known already, and those that are to be otherwise, by their keys."""
 
@@ -214,10 +225,12 @@ class Prover:
         numbers: Numbers | None = None,
         structure: Structure | None = None,
         turn: tuple[fmpq, fmpq, fmpq] | None = None,
+        allowance: Allowance | None = None,
     ) -> None:
         """`follower`: another rule than the specification's; `numbers`, `structure`: instead of the scene's own.
 
-        `turn` is added to the direction of every pixel's ray.
+        `turn` is added to the direction of every pixel's ray. `allowance`: what exact work may take over all questions,
+        in the place of one for each.
         """
         self.scene, self.settings = scene, settings or Settings()
         self.numbers = numbers or Numbers.exact(scene)
@@ -225,12 +238,14 @@ class Prover:
         self.follower, self.turn = follower, turn
         self.forced: Mapping[Key, int] = {}
         self._tables: dict[int, Tables] = {}
-        self._budget = BUDGET
+        self._shared = allowance
+        self._allowance = allowance or Allowance()
 
     def direction(self, x: int, y: int) -> tuple[fmpq, fmpq, fmpq]:
         """The ray of a pixel, exactly: column x, row y."""
         view, of, sample = self.scene.view, self.numbers.of, self.settings.sample
-        over, down = {"corner": (0, 0), "center": (1, 1), "bottom-left": (0, 2), "inclusive": (0, 0)}[sample]
+        halves = {"corner": (0, 0), "center": (1, 1), "bottom-left": (0, 2), "top-right": (2, 0), "inclusive": (0, 0)}
+        over, down = halves[sample]
         wide, high = view.columns, view.rows
         if sample == "inclusive":
             wide, high = max(wide - 1, 1), max(high - 1, 1)
@@ -289,6 +304,7 @@ class Prover:
             numbers=numbers,
             structure=self.structure,
             turn=turn or self.turn,
+            allowance=self._shared,
         )
         other.forced = self.forced
         return other
@@ -328,7 +344,8 @@ class Prover:
     def _question(self) -> Iterator[None]:
         """Precision is put back after it; exact numbers, those of the outcomes of ties included, share one budget."""
         before = ctx.prec
-        self._budget = BUDGET
+        if self._shared is None:
+            self._allowance.restore()
         try:
             yield
         finally:
@@ -343,9 +360,10 @@ class Prover:
     def _certain(self, x: int, y: int, forced: Mapping[Key, int]) -> tuple[_Path, dict[str, tuple[Ball, ...]]]:
         """The path, and every pass, at a precision that is enough for both."""
         known: dict[Key, int] = {}
+        unproved: set[Key] = set()
         bits = BITS
         while bits <= MOST_BITS:
-            path = self._follow(x, y, bits, known, forced, None)
+            path = self._follow(x, y, bits, known, forced, None, unproved)
             values = _balls(self._raw(path))
             if values is not None:
                 return path, values
@@ -360,9 +378,13 @@ class Prover:
         known: dict[Key, int],
         forced: Mapping[Key, int],
         watch: dict[Key, arb] | None,
+        unproved: set[Key] | None = None,
     ) -> _Path:
-        """Follow the ray in balls, at first with `bits` bits."""
-        unproved: set[Key] = set()
+        """Follow the ray in balls, at first with `bits` bits.
+
+        `known` and `unproved` are filled in: exact signs, and those of them that could not be had.
+        """
+        unproved = set() if unproved is None else unproved
         exact = False
         direction = self.direction(x, y)
         while True:
@@ -402,7 +424,7 @@ class Prover:
     ) -> set[Key]:
         """Fill in the exact sign of every decision of a pixel. What cannot be had counts as 0, and is returned."""
         ctx.prec = 4 * EXACT_FROM
-        tower = Tower(self._budget)
+        tower = Tower(self._allowance.left)
 
         def lift(value: fmpq) -> Lazy:
             return Lazy.rational(tower, fmpq(value))
@@ -428,7 +450,7 @@ class Prover:
         try:
             follower.follow(tuple(lift(entry) for entry in direction))  # type: ignore[arg-type]
         finally:
-            self._budget = tower.budget
+            self._allowance.left = tower.budget
         return unproved
 
     def _raw(self, path: _Path) -> dict[str, tuple[Any, ...]]:
@@ -564,13 +586,19 @@ def prove(
     try:
         with _deaf():
             # This starts them; what is blocked here stays so in them.
-            results = pool.map(_work, parts)
+            # Not by its map, which cancels what is to be done: that and workers that end make it hang.
+            results = [pool.submit(_work, part) for part in parts]
         for found in results:
-            yield from found
+            yield from found.result()
     except BaseException:
         # A pool that is interrupted while its workers start may wait for them for ever.
-        for worker in set(multiprocessing.active_children()) - others:
+        workers = set(multiprocessing.active_children()) - others
+        for worker in workers:
             worker.terminate()
+        for worker in workers:
+            worker.join()
+        # One may have ended halfway through a result: what reads that must not wait for the rest.
+        pool._result_queue._writer.close()  # type: ignore[attr-defined]
         raise
     finally:
         pool.shutdown(cancel_futures=True)

@@ -32,6 +32,7 @@ __all__ = [
     "Verdicts",
     "differing",
     "judge",
+    "together",
 ]
 
 
@@ -69,6 +70,11 @@ class Group:
 
     verdicts: list[Verdict]
     finding: Finding  # of the first
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """Who is wrong, the cause, the decision, and why: what all its pixels have in common."""
+        return _key(self.finding)
 
     @property
     def explained(self) -> bool:
@@ -139,12 +145,8 @@ class Verdicts:
         found: dict[tuple[str, ...], Group] = {}
         for verdict in self.verdicts:
             for finding in verdict.wrong or (verdict.renderer,):
-                pattern = finding.decision.pattern if finding.decision else ""
-                # What these say has numbers of the pixel in it.
-                because = "" if finding.cause in ("rounding", "unexplained") else finding.because
-                key = finding.renderer if verdict.wrong else "", finding.cause, pattern, because
-                found.setdefault(key, Group([], finding)).verdicts.append(verdict)
-        return sorted(found.values(), key=lambda group: (group.explained, -len(group.verdicts)))
+                found.setdefault(_key(finding), Group([], finding)).verdicts.append(verdict)
+        return _worst_first(found.values())
 
     def record(self) -> Record:
         """For the result file."""
@@ -158,6 +160,30 @@ class Verdicts:
             "explained": self.explained,
             "groups": [group.record() for group in self.groups()],
         }
+
+
+def _key(finding: Finding) -> tuple[str, str, str, str]:
+    pattern = finding.decision.pattern if finding.decision else ""
+    # What these say has numbers of the pixel in it.
+    because = "" if finding.cause in ("rounding", "unexplained") else finding.because
+    return "" if finding.right else finding.renderer, finding.cause, pattern, because
+
+
+def _worst_first(groups: Iterable[Group]) -> list[Group]:
+    return sorted(groups, key=lambda group: (group.explained, -len(group.verdicts)))
+
+
+def together(several: Sequence[Verdicts]) -> list[Group]:
+    """The groups of several pairs of one scene: what is found of a renderer in several of them is there once."""
+    found: dict[tuple[str, ...], dict[tuple[int, int], Verdict]] = {}
+    first: dict[tuple[str, ...], Finding] = {}
+    for verdicts in several:
+        for group in verdicts.groups():
+            first.setdefault(group.key, group.finding)
+            pixels = found.setdefault(group.key, {})
+            for verdict in group.verdicts:
+                pixels.setdefault((verdict.x, verdict.y), verdict)
+    return _worst_first(Group(list(pixels.values()), first[key]) for key, pixels in found.items())
 
 
 # ---- which pixels
@@ -184,8 +210,11 @@ def judge(
     comparisons: Sequence[Comparison],
     *,
     most: int,
+    court: Court | None = None,
 ) -> Verdicts | None:
     """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does.
+
+    `court`: that of other pairs of the same scene, settings and analysis.
 
     Raises:
         RulesError: the documented rules of one of them failed.
@@ -197,13 +226,7 @@ def judge(
     if len(chosen) > most:
         # The same sample for the same picture.
         chosen = sorted(random.Random(0).sample(chosen, most), key=lambda place: (place[1], place[0]))
-    # As in the comparison: where there is no bound, the largest one of the interior.
-    bounds = {
-        comparison.pass_name: float(maps.tolerance[maps.compared & ~maps.edge].max(initial=0.0))
-        for comparison in comparisons
-        if (maps := comparison.maps) is not None
-    }
-    court = Court(scene, settings, analysis, bounds)
+    court = court or Court(scene, settings, analysis)
     compared = tuple(comparison.pass_name for comparison in comparisons if comparison.maps is not None)
     verdicts, unproved = [], []
     for x, y in chosen:
@@ -213,7 +236,7 @@ def judge(
             if comparison.maps is not None and comparison.pass_name in pixels[x, y]
         )
         try:
-            truth = court.prover.pixel(x, y)
+            truth = court.truth(x, y)
             found = [court.find(truth, side, compared) for side in (renderer, reference)]
         except NOWHERE:
             unproved.append((x, y))

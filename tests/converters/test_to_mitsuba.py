@@ -124,6 +124,26 @@ def test_lights_do_not_fall_off_and_one_can_be_chosen() -> None:
         converter.to_dict(both, light=2)
 
 
+def test_the_ambient_term_alone_has_a_light_that_stands_nowhere_and_mirrors() -> None:
+    both = scene(
+        sphere(kr=0.5, ks=0.5), sphere(scaling=(1, 2, 1), position=(3, 0, -6)), lights=(LAMP,), ambient=(1, 2, 3)
+    )
+    described = converter.ambient_dict(both)
+    assert {name for name in described if name.startswith("light")} == {"light"}
+    assert described["light"]["type"] == mitsuba_plugins.EVERYWHERE
+    assert described["light"]["intensity"]["value"] == [np.pi * value for value in (1, 2, 3)]
+    ball, egg = described["sphere_0"]["bsdf"], described["group_1"]["surface"]["bsdf"]
+    assert "bsdf" not in described["sphere_1"]
+    assert (ball["type"], ball["diffuse"]["value"], ball["mirror"]) == (
+        mitsuba_plugins.AMBIENT,
+        [0.4, 0.25, 0.125],
+        0.5,
+    )
+    assert "mirror" not in egg
+    assert "mirror" not in converter.ambient_dict(both, max_reflections=0)["sphere_0"]["bsdf"]
+    assert described["integrator"] == {"type": "path", "max_depth": 5, "rr_depth": 6}
+
+
 def test_background_is_for_primary_rays_only() -> None:
     described = converter.to_dict(scene(sphere(), lights=(LAMP,)))
     assert described["background"]["sampling_weight"] == 0
@@ -146,7 +166,8 @@ def test_window_has_the_samples_at_its_pixel_centres(sample: Sample, size: tuple
     frame = converter.window(view, sample)
     x = [frame.left + (frame.right - frame.left) * (c + 0.5) / columns for c in range(columns)]
     y = [frame.top - (frame.top - frame.bottom) * (j + 0.5) / rows for j in range(rows)]
-    ox, oy = {"corner": (0, 0), "center": (0.5, 0.5), "bottom-left": (0, 1), "inclusive": (0, 0)}[sample]
+    places = {"corner": (0, 0), "center": (0.5, 0.5), "bottom-left": (0, 1), "top-right": (1, 0), "inclusive": (0, 0)}
+    ox, oy = places[sample]
     across = max(columns - 1, 1) if sample == "inclusive" else columns
     down = max(rows - 1, 1) if sample == "inclusive" else rows
     assert x == pytest.approx([-1 + 4 * (c + ox) / across for c in range(columns)], abs=1e-14)

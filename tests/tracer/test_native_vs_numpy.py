@@ -64,7 +64,7 @@ def test_agreement(name: str, precision: tracer.reference.Precision) -> None:
     found = compare(image, truth, analysis, UNIT["f64"] + UNIT[precision], EDGE_ROUNDINGS)
     check(found)
     # Else margins of 0 would excuse everything. Thin curves, no longer than what encloses the spheres' pictures, have
-    # no more pixels; in float32 the ground's horizon is no thin curve: docs/tolerances.md, section 8.
+    # no more pixels; in float32 the ground's horizon is no thin curve: docs/tolerances.md, section 9.
     if (name, precision) != ("ground", "f32"):
         assert found.edges <= analysis.outline + 2 * sum(truth.shape)
 

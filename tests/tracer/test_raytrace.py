@@ -140,7 +140,7 @@ class TestImage:
         assert outcome(raytrace("-", folder=folder, stdin=text.encode())) == (0, b"", "")
         assert names(folder) == {"-"}
 
-    @pytest.mark.parametrize("sample", ["corner", "center", "bottom-left", "inclusive"])
+    @pytest.mark.parametrize("sample", ["corner", "center", "bottom-left", "top-right", "inclusive"])
     @pytest.mark.parametrize("precision", ["f64", "f32"])
     def test_settings_reach_the_renderer(self, folder: Path, sample: Sample, precision: Precision) -> None:
         result = raytrace(
@@ -242,7 +242,8 @@ class TestMessages:
         ),
         (
             ["scene.txt", "--sample", "centre"],
-            "error: 'centre' is not a value of --sample\n  hint: expected corner, center, bottom-left or inclusive\n",
+            "error: 'centre' is not a value of --sample\n"
+            "  hint: expected corner, center, bottom-left, top-right or inclusive\n",
         ),
         *(
             (

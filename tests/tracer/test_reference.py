@@ -359,8 +359,9 @@ def test_a_reflection_inside_a_sphere_meets_its_other_root() -> None:
 def test_sample_positions() -> None:
     view = View(near=2, left=-1, right=3, bottom=-2, top=1, columns=4, rows=3)
     tables = reference.Tables(Scene(view=view), np.float64)
-    first = {"corner": (-1, 1), "center": (-0.5, 0.5), "bottom-left": (-1, 0), "inclusive": (-1, 1)}
-    last = {"corner": (2, -1), "center": (2.5, -1.5), "bottom-left": (2, -2), "inclusive": (3, -2)}
+    first = {"corner": (-1, 1), "center": (-0.5, 0.5), "bottom-left": (-1, 0), "top-right": (0, 1)}
+    last = {"corner": (2, -1), "center": (2.5, -1.5), "bottom-left": (2, -2), "top-right": (3, -1)}
+    first["inclusive"], last["inclusive"] = (-1, 1), (3, -2)
     for sample in SAMPLES:
         direction = reference.eye_rays(tables, view, sample, range(3)).direction
         assert direction[:, 0].tolist() == [*first[sample], -2]
@@ -430,7 +431,10 @@ def test_magnitudes_at_the_limits_stay_finite() -> None:
     ("settings", "message"),
     [
         ({"precision": "f16"}, "unknown precision 'f16': expected f32 or f64"),
-        ({"sample": "middle"}, "unknown sample 'middle': expected one of corner, center, bottom-left, inclusive"),
+        (
+            {"sample": "middle"},
+            "unknown sample 'middle': expected one of corner, center, bottom-left, top-right, inclusive",
+        ),
         ({"shadow_epsilon": 1}, "shadow_epsilon is 1: expected a number from 0 to below 1"),
         ({"shadow_epsilon": math.nan}, "shadow_epsilon is nan: expected a number from 0 to below 1"),
         ({"max_reflections": -1}, "max_reflections is -1: expected 0 or more"),

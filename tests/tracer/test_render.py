@@ -167,7 +167,7 @@ class TestErrors:
             ({"precision": "f16"}, "precision is 'f16', expected 'f64' or 'f32'"),
             (
                 {"sample": "centre"},
-                "sample is 'centre', expected one of 'corner', 'center', 'bottom-left', 'inclusive'",
+                "sample is 'centre', expected one of 'corner', 'center', 'bottom-left', 'top-right', 'inclusive'",
             ),
             ({"threads": -1}, "threads is -1, expected 0 to 1024"),
             ({"threads": 1025}, "threads is 1025, expected 0 to 1024"),
@@ -490,6 +490,9 @@ class TestSamples:
 
     def test_bottom_left(self) -> None:
         assert np.array_equal(self.image("bottom-left")[:-1], self.corners(16, 8)[1:])
+
+    def test_top_right(self) -> None:
+        assert np.array_equal(self.image("top-right")[:, :-1], self.corners(16, 8)[:, 1:])
 
     def test_inclusive(self) -> None:
         assert np.array_equal(self.image("inclusive")[:-1, :-1], self.corners(15, 7))

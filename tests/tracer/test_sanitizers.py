@@ -175,7 +175,7 @@ def test_the_command_line(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_bounces_samples_and_a_signal(program: Path, run: Run, threads: int, tmp_path: Path) -> None:
     scene = next(path for path in SCENES if path.stem == "mirror-corridor").read_bytes()
-    for sample in ("corner", "center", "bottom-left", "inclusive"):
+    for sample in ("corner", "center", "bottom-left", "top-right", "inclusive"):
         run("-", "-o-", f"--sample={sample}", "--max-reflections=1000", f"--threads={threads}", stdin=small(scene))
     path = tmp_path / "scene.txt"
     path.write_bytes(small(scene, 9000, 9000))

@@ -112,6 +112,7 @@ class Oracle:
             "corner": (mpf(0), mpf(0)),
             "center": (mpf(0.5), mpf(0.5)),
             "bottom-left": (mpf(0), mpf(1)),
+            "top-right": (mpf(1), mpf(0)),
             "inclusive": (mpf(0), mpf(0)),
         }[self.sample]
         if self.sample == "inclusive":

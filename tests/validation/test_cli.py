@@ -74,7 +74,11 @@ def test_validate_writes_strict_json(run: Any, scene: Path, tmp_path: Path, regi
     result = run("validate", scene, "--renderer", "double,native-f64", "--against", "numpy-f64", "--json", file)
     assert result.status == 1
     record = strict(file.read_text())
-    assert set(record) == {"ok", "command", "settings", "versions", "comparisons", "verdicts", "notes", "failures"}
+    assert set(record) == {
+        *("ok", "command", "settings", "versions", "counts", "pairs", "comparisons", "verdicts", "notes", "failures")
+    }
+    assert record["counts"]["double"]["depth"] == {"compared": 1, "agree": 0, "lacking": 0}
+    assert record["counts"]["numpy-f64"]["depth"] == {"compared": 2, "agree": 1, "lacking": 0}
     assert record["ok"] is False
     assert record["command"][:2] == ["whitted", "validate"]
     assert record["settings"] == {"sample": "corner", "shadow_epsilon": 1e-4, "max_reflections": 3, "threads": 0}
@@ -155,7 +159,7 @@ def test_validate_says_what_one_of_them_lacks(run: Any, scene: Path, registered:
     registered(Double(name="poor", missing=("specular", "direct")))
     result = run("validate", scene, "--renderer", "native-f64", "--against", "poor")
     assert result.status == 0
-    assert "not compared, as one of them lacks them: specular, direct" in result.out
+    assert "poor: not compared, as it does not deliver them: specular, direct" in result.out
     asked = run("validate", scene, "--renderer", "native-f64", "--against", "poor", "--passes", "beauty,specular")
     assert asked.status == 1
     assert "poor did not deliver the pass 'specular'" in asked.out
@@ -276,7 +280,21 @@ WRONG = {
     "renderer": ("validate SCENE --renderer nativ-f64", "unknown renderer 'nativ-f64'", "did you mean 'native-f64'?"),
     "against": ("validate SCENE --against numpy-f46", "unknown renderer 'numpy-f46'", "did you mean 'numpy-f64'?"),
     "pass": ("validate SCENE --passes beuaty", "unknown pass 'beuaty'", "did you mean 'beauty'?"),
-    "margin": ("validate SCENE --passes margin.order", "'margin.order' is not compared", "table of passes"),
+    "margin": ("validate SCENE --passes margin.order", "'margin.order' is not compared", "the passes are beauty, "),
+    "no pass": ("validate SCENE --passes foo", "unknown pass 'foo'", "the passes are beauty, ambient, "),
+    "far option": ("validate SCENE --quiet", "no such option '--quiet'", "see `whitted validate --help`"),
+    "empty size": ("validate SCENE --size 0x10", "'0x10' is not a size: at least 1x1", "see `whitted"),
+    "long size": ("validate SCENE --size 9999999999x10", "'9999999999x10' is too large", "see `whitted"),
+    "memory of validate": (
+        "validate SCENE --size 100000x100000 --against numpy-f64",
+        "full.txt: error: 15 passes of 100000x100000 pixels need 2960000000000 bytes",
+        "a smaller --size, or fewer --passes",
+    ),
+    "memory of numpy": (
+        "render SCENE -o x.npz --passes id --renderer numpy-f64 --no-limits --size 9000000x9000000",
+        "1 pass of 9000000x9000000 pixels needs 648000000000000 bytes",
+        "a smaller --size",
+    ),
     "empty name": ("validate SCENE --passes beauty,,id", "has an empty name", "see `whitted validate --help`"),
     "size": ("validate SCENE --size 400", "'400' is not a size such as 400x300", "see `whitted"),
     "zero size": ("validate SCENE --size 0x5", "'0x5' is not a size", "see `whitted"),
@@ -313,7 +331,11 @@ WRONG = {
     "render folder": ("render SCENE -o no/x.png", "there is no folder no", "mkdir -p no"),
     "render scene": ("render nowhere.txt -o x.png", "nowhere.txt: error: no such file or folder", ""),
     "render pass": ("render SCENE -o x.npz --passes dephth", "unknown pass 'dephth'", "did you mean 'depth'?"),
-    "render light": ("render SCENE -o x.npz --passes shadow.L7", "unknown pass 'shadow.L7'", "did you mean 'shadow.L"),
+    "render light": (
+        "render SCENE -o x.npz --passes shadow.L7",
+        "native-f64 has no pass 'shadow.L7'",
+        "shadow.L0, shadow.L1",
+    ),
     "render no beauty": ("render SCENE -o x.png --passes depth", "would hold the pass 'beauty'", "write .exr or .npz"),
     "render no renderer": (
         "render SCENE -o x.npz --renderer numpy",
@@ -364,6 +386,7 @@ def test_an_instruction_set_that_is_not_there(
 def test_the_samples_are_those_of_the_renderers() -> None:
     assert options.SAMPLES == SAMPLES
     assert options.MOST_THREADS == _native.MOST_THREADS
+    assert f"more than {cli.LONGEST_SIDE} columns" in options.NO_LIMITS
     assert cli.MOST_VERDICTS == MOST_VERDICTS
 
 
@@ -391,8 +414,40 @@ def test_renderers_as_json(run: Any, registered: Any) -> None:
         "available": False,
         "reason": "run: pip install absent",
         "version": None,
+        "precision": None,
         "passes": [],
+        "sources": {},
     }
+    assert entries["numpy-f32"]["precision"] == "float32"
+    assert entries["native-f64"]["sources"]["beauty"] == {"how": "stock", "always": True}
+
+
+def test_who_delivers_which_pass(run: Any, registered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Some(Double):
+        precision = "8-bit"
+
+        def passes(self, scene: Any, settings: Any) -> tuple[str, ...]:
+            del settings
+            return ("id", "beauty") if scene.spheres[0].ks == 0 else ("id",)
+
+        def sources(self, *_: Any) -> dict[str, str]:
+            return {"id": "plugin", "beauty": "derived"}
+
+    registered(Some(name="some"))
+    monkeypatch.setenv("COLUMNS", "400")
+    every = run("renderers", "--passes").out.splitlines()
+    head = next(place for place, line in enumerate(every) if line.startswith("pass ") and "some" in line)
+    at, lines = every[head].index("some"), every[head : every.index("", head)]
+    column = {line.split()[0]: line[at:].split("  ")[0].strip() for line in lines if line}
+    assert column["id"] == "plugin"
+    assert column["beauty"] == "derived *"
+    assert column["depth"] == "-"
+    assert column["precision"] == "8-bit"
+    assert column["here"] == "yes"
+    monkeypatch.setenv("COLUMNS", "60")
+    narrow = run("renderers", "--passes").out
+    assert "some" in narrow
+    assert max(map(len, narrow.splitlines()[:-2])) <= 80
 
 
 def test_render_and_compare(run: Any, scene: Path, tmp_path: Path) -> None:
@@ -729,7 +784,23 @@ def test_how_many_files_are_wrong(run: Any, tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text(doubles.FULL)
     result = run("validate", tmp_path, *NATIVE)
     assert result.status == 2
-    assert result.err.endswith("\nnothing was compared: 1 of 2 files are wrong\n")
+    assert result.err.endswith("\nnothing was compared: 1 of 2 files is wrong\n")
+    (tmp_path / "b.txt").write_text("NEAR x")
+    assert run("validate", tmp_path, *NATIVE).err.endswith("\nnothing was compared: 2 of 2 files are wrong\n")
+
+
+def test_the_place_of_errors_is_the_file_whatever_its_name(run: Any, tmp_path: Path) -> None:
+    text = tmp_path / "odd: error: name.txt"
+    text.write_text("once upon a time\n" * 30)
+    result = run("validate", text, *NATIVE)
+    assert result.err.splitlines()[-1].startswith(f"{text}: error: and ")
+
+
+def test_passes_that_the_scene_does_not_have_are_answered_with_those_it_has(run: Any, scene: Path) -> None:
+    result = run("validate", scene, *NATIVE, "--passes", "shadow.L7")
+    assert result.status == 3
+    assert "the scene has none of the passes asked for, but beauty, " in result.out
+    assert "shadow.L0, shadow.L1, reflection" in result.out
 
 
 def test_a_warning_says_so_once(run: Any, tmp_path: Path) -> None:
@@ -768,8 +839,47 @@ def test_a_narrow_terminal_shows_the_result(
     terminal.print_validation(Validation(settings=Settings(), comparisons=agreeing), verbose=True)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines[:4])) <= 72
-    assert lines[1].split()[:3] == ["scene", "result", "pass"]
+    assert lines[1].split() == ["scene", "result", "pass", "/tolerance", "interior", "edge"]
+    assert "max error" not in "".join(lines), "the legend is of what is shown"
     assert any(line.startswith("mirrors.txt 400x400 ") and " agree " in line for line in lines)
+
+
+def summary(
+    *found: Comparison, width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    monkeypatch.setattr(terminal, "console", lambda: Console(width=width))
+    terminal.print_validation(Validation(settings=Settings(), comparisons=list(found)), verbose=False)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_scene_in_one_row_says_what_differs_at_edges(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edges = Comparison("s.txt", (9, 9), "a", "b", "beauty", max=0.338, ratio=0.01, interior=70, edge=11, edge_over=3)
+    worst = Comparison("s.txt", (9, 9), "a", "b", "direct", max=1.4e-6, ratio=0.5, interior=80, edge=1)
+    lines = summary(worst, edges, width=120, capsys=capsys, monkeypatch=monkeypatch)
+    assert lines[2].split("  ")[-1].strip() == "3/11"
+    assert " ".join(lines[2].split()) == "s.txt 9x9 agree all 2, worst direct, edges differ 0.34 0.5 0/80 3/11"
+    told = "all: /tolerance and interior of the worst pass; max error: of beauty; edge: of that with most over"
+    assert told in lines
+    narrow = summary(worst, edges, width=80, capsys=capsys, monkeypatch=monkeypatch)
+    assert " ".join(narrow[2].split()).startswith("s.txt 9x9 agree all 2, worst direct")
+    assert narrow[2].endswith("3/11")
+    assert max(map(len, narrow)) <= 80
+    assert told.replace(" max error: of beauty;", "") in narrow
+    without = summary(worst, width=120, capsys=capsys, monkeypatch=monkeypatch)
+    assert " ".join(without[2].split()) == "s.txt 9x9 agree all 1, worst direct 1.4e-06 0.5 0/80 0/1"
+    assert any("max error: of beauty or else of that pass" in line for line in without)
+
+
+def test_paths_break_at_slashes() -> None:
+    long, other = "scenes/a-folder/touching-spheres.txt 400x400", "scenes/other/touching-spheres.txt 400x400"
+    assert terminal.paths([long], 60) == {long: long}
+    assert terminal.paths([long], 30) == {long: "touching-spheres.txt 400x400"}
+    assert terminal.paths([long], 20) == {long: "touching-spheres.txt\n400x400"}
+    both = terminal.paths([long, other], 24)
+    assert both[long] == "scenes/a-folder/\ntouching-spheres.txt\n400x400", "they are not the same without folders"
+    assert both[other] == "scenes/other/\ntouching-spheres.txt\n400x400"
 
 
 def test_compare_takes_families(run: Any, scene: Path, tmp_path: Path) -> None:

@@ -715,4 +715,26 @@ def test_rules_that_fail_are_a_failure_of_the_renderer(run: Any, scene: str, reg
     result = run(scene, X, Y, "--renderer", "odd")
     assert (result.status, result.err) == (3, "")
     assert "first difference: id: odd says sphere 1 'egg'" in result.out
-    assert "No verdict: its rules: failed: KeyError: 'lost'." in result.out
+    assert "No verdict: its rules failed: KeyError: 'lost'." in result.out
+
+
+def test_a_size_that_is_too_large_is_said_once(run: Any, scene: str, registered: Any) -> None:
+    size = ("--size", "4000x3000")
+    asked = run(scene, 5, 5, *size, "--renderer", "native-f64")
+    assert asked.status == 3
+    assert asked.err == (
+        "error: 4000x3000 pixels take too long to draw: truth alone\n"
+        "  hint: --size 2309x1732 is small enough; the columns and rows are then others\n"
+    )
+    assert "note" not in asked.out
+    registered(Double(name="slow", limit=768))
+    assert "  hint: --size 32x24 is small enough" in run(scene, 5, 5, *size, "--renderer", "slow,native-f64").err
+    every = run(scene, 5, 5, *size)
+    assert (every.status, every.err) == (0, "")
+    assert "truth alone; --size 2309x1732 is small enough" in " ".join(every.out.split())
+
+
+def test_passes_of_many_bounces_are_told_together(run: Any, scene: str) -> None:
+    text = " ".join(run(scene, 0, 0, "--renderer", "native-f64", "--max-reflections", 99).out.split())
+    assert "reflection.1 to .99, reflection" in text
+    assert "reflection.2" not in text

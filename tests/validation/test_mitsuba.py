@@ -227,8 +227,13 @@ def test_versions(renderer: MitsubaSpec) -> None:
 
 
 def test_names() -> None:
-    assert [made.name for made in module.renderers()] == ["mitsuba-spec@llvm", "mitsuba-spec@scalar"]
-    assert get("mitsuba-spec").unavailable() is None
+    assert [made.name for made in module.renderers()] == [
+        *("mitsuba-spec@llvm", "mitsuba-spec@scalar", "mitsuba-spec@cuda"),
+        *("mitsuba-stock@scalar", "mitsuba-stock@llvm", "mitsuba-stock@cuda"),
+        *("mitsuba-path@llvm", "mitsuba-path@scalar", "mitsuba-path@cuda"),
+    ]
+    for family in ("mitsuba-spec", "mitsuba-stock", "mitsuba-path"):
+        assert get(family).unavailable() is None
 
 
 def test_scalar_draws_what_it_can_in_time() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from validation.renderers.mitsuba import VARIANTS, MitsubaSpec
+from validation.renderers.mitsuba import VARIANTS, MitsubaSpec, epsilons
 
 pytestmark = pytest.mark.mitsuba
 
@@ -46,6 +46,15 @@ def test_the_epsilons(mi: Any) -> None:
     assert mi.math.RayEpsilon == pytest.approx(RAY, rel=1e-6), derived
     assert mi.math.ShadowEpsilon == pytest.approx(SHADOW, rel=1e-6), derived
     assert pytest.approx((8.94e-5, 8.94e-4), rel=1e-3) == (RAY, SHADOW)
+    assert (epsilons.RAY_EPSILON, epsilons.SHADOW_EPSILON) == (RAY, SHADOW)
+    epsilons.check()
+
+
+def test_a_mitsuba_with_other_epsilons_is_refused(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    del mi
+    monkeypatch.setattr(epsilons, "SHADOW_EPSILON", 1e-3)
+    with pytest.raises(RuntimeError, match=r"ShadowEpsilon is 0\.000894 in Mitsuba .*, and 0\.001 in those known"):
+        epsilons.check()
 
 
 @pytest.mark.parametrize("point", [(3.0, -7.0, 2.0), (0.0, 0.0, 0.0), (0.1, 100.0, -0.2)])

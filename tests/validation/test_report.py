@@ -164,7 +164,8 @@ def test_numbers_and_worst_pixels_are_there(result: tuple[Validation, str, Path]
     dent = next(c for c in found.comparisons if c.pass_name == "beauty" and not c.ok and c.scene == "scenes/full.txt")
     assert dent.worst is not None
     assert (dent.worst.x, dent.worst.y, dent.worst.a) == (30, 20, 2.5)
-    assert "Worst pixel (ring): x 30, y 20, B" in page.text
+    assert "Worst interior pixel (ring): x 30, y 20, B" in page.text
+    assert re.search(r"worst interior pixel x 30, y 20: [0-9.e]+ times its tolerance", page.text)
     assert repr(dent.worst.b) in page.text
     marks = [attributes["style"] for attributes in page.all("span") if attributes.get("class") == "mark"]
     assert f"left:{30.5 / 64 * 100:.3f}%;top:{20.5 / 48 * 100:.3f}%" in marks
@@ -668,6 +669,37 @@ def test_the_headline_says_all_that_happened() -> None:
     assert of(7, 1, 1, *both, sampled=True) == many
 
 
+def test_a_pixel_of_several_pairs_counts_once() -> None:
+    truth = Prover(doubles.full()).pixel(0, 0)
+
+    def pair(reference: str, extra: int = 0) -> Verdicts:
+        pixels = [Verdict(x, 0, ("id",), truth, finding("a", "tie"), Finding(reference), edge=True) for x in range(3)]
+        return Verdicts("s", "a", reference, len(pixels) + extra, pixels)
+
+    found = [Comparison("s", (9, 9), "a", name, "id") for name in "bc"]
+    both = Validation(settings=Settings(), comparisons=found, verdicts=[pair("b"), pair("c")])
+    assert headline(both) == "All 2 comparisons agree within tolerance; 3 edge pixels differ and are explained"
+    sampled = Validation(settings=Settings(), comparisons=found, verdicts=[pair("b"), pair("c", 4)])
+    assert headline(sampled) == (
+        "All 2 comparisons agree within tolerance; 10 edge pixels differ in 2 pairs, the 6 judged are explained"
+    )
+
+
+def test_what_is_found_in_two_pairs_is_said_once(tmp_path: Path) -> None:
+    def dot(arrays: doubles.Arrays) -> None:
+        arrays["beauty"][20, 30, 1] += 0.25
+
+    page = Report()
+    odd = Double(draw=with_arrays(dot))
+    found = validate({"full": doubles.full()}, odd, ["native-f64", "numpy-f64"], on_rendered=page.add)
+    text = page.write(tmp_path, found).read_text()
+    (row,) = table_rows(text, "why", "tr")
+    assert "double, native-f64" in row
+    assert "double, numpy-f64" in row
+    assert "1<span" in row
+    assert "and 1 pixel is unexplained" in Page(text).text
+
+
 def test_numbers_read_well() -> None:
     assert [short(value) for value in (None, 0.0, 5.2e12, 1.3e-7, 0.0123, math.inf)] == [
         *("–", "0", "5.2e12", "1.3e-7", "0.012", "∞"),
@@ -729,10 +761,11 @@ def test_an_edge_pixel_that_differs_most_is_called_one(tmp_path: Path) -> None:
     comparison = replace(comparison, maps=maps, worst=worst, max=0.5, edge=1, edge_over=1)
     page.add(replace(drawn, comparisons=[comparison]))
     text = Page(page.write(tmp_path, found).read_text()).text
-    assert "Worst pixel (ring, on an edge): x 9, y 7, R" in text
+    assert "Largest error (ring, on an edge): x 9, y 7, R" in text
     assert "tolerance there none: the values have no bound" in text
-    assert "largest error 0.5, on an edge" in text
-    assert "1, 1 over tolerance" in text
+    assert "; 1 edge pixel with an error of 0.5" in text
+    assert "1, 1 over tolerance; at most" in text
+    assert re.search(r"worst interior pixel x \d+, y \d+: uses", text)
 
 
 def test_a_large_report_stays_small(tmp_path: Path) -> None:

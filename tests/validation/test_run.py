@@ -70,7 +70,7 @@ def test_each_renderer_draws_a_scene_once() -> None:
     assert (len(tested.rendered), len(first.rendered), len(second.rendered)) == (1, 1, 1)
     assert result.ok
     assert len(result.comparisons) == 15 + 14
-    assert [note.message for note in result.notes] == ["not compared, as one of them lacks them: depth"]
+    assert [note.message for note in result.notes] == ["not compared, as it does not deliver them: depth"]
 
 
 def test_what_is_quick_keeps_its_size_and_the_rest_is_drawn_smaller() -> None:

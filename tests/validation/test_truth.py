@@ -38,6 +38,7 @@ import tracer.errors
 import tracer.reference
 from tracer import Light, Scene, Sphere, View
 from tracer.passes import SAMPLES, names, quantise
+from validation import truth as proving
 from validation.follow import Follower
 from validation.renderers import Settings
 from validation.rules import MISTAKES
@@ -703,6 +704,18 @@ def test_a_pixel_whose_ties_take_too_much_work_is_not_proved() -> None:
     truth = chained(8)
     assert not all(tie.proved for tie in truth.ties)
     assert all(math.isfinite(value.value) for value in truth.values["beauty"])
+
+
+@pytest.mark.parametrize("radius", [1e-30, 1e-60])
+def test_a_sign_that_could_not_be_had_stays_unproved(
+    radius: float, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the values need another round with more bits, which takes the sign as known."""
+    for name, value in {"EXACT_FROM": 128, "BUDGET": 0, "RADIUS": radius}.items():
+        monkeypatch.setattr(proving, name, value)
+    found = Prover(tracer.load(root / "scenes/spec/touching-spheres.txt")).pixel(200, 200)
+    assert found.ties
+    assert not any(tie.proved for tie in found.ties)
 
 
 def test_the_reflection_at_a_tangent_runs_straight_on() -> None:

@@ -24,7 +24,7 @@ import tracer
 import tracer.margins
 from tracer.margins import Analysis
 from tracer.passes import Passes, names
-from validation import Settings, Validation, court, parting, renderers, terminal, validate
+from validation import Settings, Validation, court, exact, parting, renderers, terminal, validate
 from validation.flips import flips
 from validation.follow import Follower, Key
 from validation.renderers import Renderer, Uncertainty
@@ -604,6 +604,62 @@ def test_a_rule_makes_no_more_next_to_an_outline_than_elsewhere(off: float, caus
     assert set(finding.errors) == {"shadow.L0", "diffuse", "direct", "beauty"}
 
 
+@pytest.mark.parametrize("exponent", [0.5, 0.1])
+@pytest.mark.parametrize(("off", "cause"), [(0.0, "rule"), (0.02, "unexplained"), (0.3, "unexplained")])
+def test_a_rule_makes_no_more_where_a_highlight_begins(exponent: float, off: float, cause: str) -> None:
+    """(R.V)^n with n < 1 is as steep at R.V = 0 as a value behind an outline."""
+    eye, hit = np.array([0.2, 0.1, -1.0]), None
+    centre = np.array([0.0, 0.0, -5.0])
+    a, b, c = eye @ eye, eye @ -centre, centre @ centre - 4
+    hit = eye * (-b - math.sqrt(b * b - a * c)) / a
+    N, V = (hit - centre) / 2, -eye / np.linalg.norm(eye)
+    across = N - (N @ V) * V
+    R = across / np.linalg.norm(across) + 1e-9 * V
+    L = 2 * (R @ N) * N - R
+    numbers = [" ".join(f"{value!r}" for value in map(float, hit + t * L)) for t in (4, 8)]
+    scene = tracer.loads(
+        "NEAR 1\nLEFT 0.2\nRIGHT 2\nBOTTOM -1\nTOP 0.1\nRES 1 1\n"
+        f"SPHERE ball 0 0 -5 2 2 2 1 1 1 0 0 1 0 {exponent}\n"
+        f"SPHERE blocker {numbers[0]} 0.2 0.2 0.2 1 1 1 0 1 0 0 1\n"
+        f"LIGHT sun {numbers[1]} 1 1 1\nBACK 0 0 0\nAMBIENT 0 0 0\nOUTPUT steep.ppm\n"
+    )
+
+    def lit(of: tracer.Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        drawn = with_patch(hidden=planted.no_shadows)(of, passes, settings)
+        return Passes({name: array + off * (name in ("specular", "direct", "beauty")) for name, array in drawn.items()})
+
+    claim = renderers.get("native-f32").uncertainty(scene, Settings(), analysis(scene))
+    double = Double(draw=lit, claim=claim)
+    rule = next(rule for rule in court.mistakes(scene, Settings()) if rule.says == "casts no shadows")
+    with mock.patch.object(double, "rules", return_value=[rule], create=True):
+        assert find(double, scene, 0, 0).cause == cause
+
+
+def test_what_is_asked_about_one_pixel_has_one_budget() -> None:
+    """Pixels of equal hits, by symmetry: the court asks for their signs many times."""
+    scene = resized(tracer.load(Path(__file__).parents[2] / "scenes/spec/touching-spheres.txt"), (20, 20))
+    judge = Court(scene, Settings(), analysis(scene))
+
+    def off(of: tracer.Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        drawn = doubles.faithful(of, passes, settings)
+        return Passes({name: array + 0.01 * (name == "beauty") for name, array in drawn.items()})
+
+    of = side(Double(draw=off), scene)
+    spent = []
+    for _ in range(2):
+        truth = judge.prover.pixel(10, 10)
+        judge.allowance.left = 0
+        judge._found.clear()
+        judge.find(truth, of, tuple(of.passes))
+        spent.append(exact.BUDGET - judge.allowance.left)
+    assert 0 < spent[0] < exact.BUDGET / 10
+    assert spent[0] == spent[1], "the budget begins anew with a pixel"
+    derived = judge.prover.forcing({}).with_numbers(judge.prover.numbers)
+    before = judge.allowance.left
+    derived.pixel(10, 10)
+    assert judge.allowance.left < before
+
+
 def broken(*_: Any) -> Any:
     raise KeyError("rule")
 
@@ -616,14 +672,27 @@ def no_choice(*_: Any) -> Any:
     return [court.Rule("fails", choices=broken)]
 
 
-@pytest.mark.parametrize("rules", [broken, no_follower, no_choice])
+class Late(Follower):
+    """A rule that fails only when it is asked for every blocker."""
+
+    def hides(self, hit: Any, relative: Any, to_light: Any, i: int, j: int) -> bool:
+        if self.every_blocker:
+            broken()
+        return super().hides(hit, relative, to_light, i, j)
+
+
+def late(*_: Any) -> Any:
+    return [court.Rule("fails late", follower=Late)]
+
+
+@pytest.mark.parametrize("rules", [broken, no_follower, no_choice, late])
 def test_rules_that_fail_are_the_renderers_failure(rules: Callable[..., Any]) -> None:
     """The comparisons are kept, the program ends with status 3."""
     double = Double(draw=with_scene(moved))
     with mock.patch.object(double, "rules", rules, create=True):
         result = validate({"scene": full()}, double, "native-f64")
     assert [(note.renderer, note.message) for note in result.failures] == [
-        ("double", "its rules: failed: KeyError: 'rule'")
+        ("double", "its rules failed: KeyError: 'rule'")
     ]
     assert result.comparisons
     assert result.status == 3

@@ -42,8 +42,9 @@ Options:
   --precision f64|f32     arithmetic of the renderer [f64]
   --threads N             0: as many as there are processors [0]
   --sample PLACE          where in a pixel its ray goes through: corner (top left),
-                          center, bottom-left, or inclusive (the outermost rays
-                          go through the edges of the image) [corner]
+                          center, bottom-left, top-right, or inclusive (the
+                          outermost rays go through the edges of the image)
+                          [corner]
   --shadow-epsilon E      shadow rays start at this fraction of the way to the
                           light [0.0001]
   --max-reflections N     mirror bounces followed [3]
@@ -126,7 +127,7 @@ Problem take(Options &options, std::string_view option, std::string_view value) 
         settings.threads = *threads;
     } else if (option == "--sample") {
         const auto sample = whitted::parse_sample(value);
-        if (!sample) return bad_value(option, value, "corner, center, bottom-left or inclusive");
+        if (!sample) return bad_value(option, value, "corner, center, bottom-left, top-right or inclusive");
         settings.sample = *sample;
     } else if (option == "--shadow-epsilon") {
         const whitted::Number number = whitted::parse_number(value);

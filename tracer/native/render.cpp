@@ -130,6 +130,8 @@ Grid grid(Sample sample, bool horizontal, std::int64_t pixels) {
             return {0.5, count};
         case Sample::bottom_left:
             return {horizontal ? 0.0 : 1.0, count};
+        case Sample::top_right:
+            return {horizontal ? 1.0 : 0.0, count};
         case Sample::inclusive:
             return {0.0, pixels > 1 ? count - 1 : 1.0};
         case Sample::corner:
@@ -144,6 +146,7 @@ std::optional<Sample> parse_sample(std::string_view name) {
     if (name == "corner") return Sample::corner;
     if (name == "center") return Sample::center;
     if (name == "bottom-left") return Sample::bottom_left;
+    if (name == "top-right") return Sample::top_right;
     if (name == "inclusive") return Sample::inclusive;
     return std::nullopt;
 }

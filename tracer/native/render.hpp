@@ -13,9 +13,9 @@
 namespace whitted {
 
 enum class Precision { f64, f32 };
-enum class Sample { corner, center, bottom_left, inclusive };
+enum class Sample { corner, center, bottom_left, top_right, inclusive };
 
-// "corner", "center", "bottom-left" or "inclusive".
+// "corner", "center", "bottom-left", "top-right" or "inclusive".
 std::optional<Sample> parse_sample(std::string_view name);
 
 struct Settings {

@@ -72,7 +72,14 @@ class Uncertainty:
 
 @runtime_checkable
 class Renderer(Protocol):
-    """A program that turns a Scene into Passes; nothing outside its module knows how."""
+    """A program that turns a Scene into Passes; nothing outside its module knows how.
+
+    What follows is optional. `refusal(scene)`: why it has no pass for a scene. `rules(scene, settings)`: where it
+    decides by rules of its own, for the judge: see `validation.rules`. `precision`: "f64", "f32", "16-bit" or "8-bit".
+    `sources(scene, settings)`: by pass how it is made, "stock" by the program itself, "plugin" by code of ours in it,
+    or "derived" from what it draws. `encoding`: of one that draws levels, an image file's: how they stand for colours;
+    its passes then hold levels over their number, which their metadata name as "levels".
+    """
 
     @property
     def name(self) -> str:
@@ -100,8 +107,14 @@ class Renderer(Protocol):
         """None: any size. Else a scene of more pixels takes too long, and validation draws it smaller and says so."""
 
 
-class UnknownRendererError(ValueError):
-    """A name that no renderer has; `hint` says what to type instead."""
+class RendererNameError(ValueError):
+    """What cannot be the name of a renderer; `hint` says what to type instead."""
+
+    hint = ""
+
+
+class UnknownRendererError(RendererNameError):
+    """A name that no renderer has."""
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         """Look for the nearest of the known names."""
@@ -156,15 +169,27 @@ def available() -> tuple[Renderer, ...]:
     return tuple(renderer for renderer in all() if renderer.unavailable() is None)
 
 
+def best() -> tuple[Renderer, ...]:
+    """Of every renderer that can run here its best variant."""
+    names = dict.fromkeys(renderer.name.partition("@")[0] for renderer in available())
+    return tuple(get(name) for name in names)
+
+
 def get(name: str) -> Renderer:
     """The renderer of that name.
 
     A name without `@` that has variants (`mitsuba-spec`) means the first variant that can run here, in the order its
     entry point lists them: best first. When none can run, the first variant, whose `unavailable()` says why.
+    `cmd:./mine {scene}` is any program: see `validation.renderers.command`.
 
     Raises:
         UnknownRendererError: there is none.
+        command.TemplateError: what follows `cmd:` is no command.
     """
+    if name.startswith("cmd:"):
+        from validation.renderers.command import Command
+
+        return Command(name)
     renderers = registry().renderers
     if name in renderers:
         return renderers[name]

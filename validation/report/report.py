@@ -16,6 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tracer.passes import TABLE, lookup, write_beside
+from validation import pairs
 from validation.report import pictures
 from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
 from validation.report.verdicts import view as view_verdicts
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tracer.passes import Passes
-    from validation.compare import Comparison
+    from validation.compare import Comparison, Maps
     from validation.report.verdicts import Line, Row
     from validation.run import Rendered, Validation
     from validation.verdict import Verdicts
@@ -66,6 +67,8 @@ class PassView:
     edges: str = ""
     zoom: int = 1
     worst_on_edge: bool = False
+    largest_on_edge: bool = False
+    nearest: tuple[int, int] | None = None
     worst_tolerance: float | None = None
     worst_row: Row | None = None
 
@@ -119,6 +122,35 @@ class SceneView:
         return list(found.items())
 
 
+@dataclass
+class Why:
+    """Why pixels of one scene differ, in all pairs in which the finding is the same."""
+
+    scenes: list[SceneView]
+    lines: list[Line]
+
+    def add(self, scene: SceneView, line: Line) -> None:
+        """One more pair."""
+        self.scenes.append(scene)
+        self.lines.append(line)
+
+    @property
+    def line(self) -> Line:
+        """That of the first pair."""
+        return self.lines[0]
+
+    @property
+    def count(self) -> int:
+        """How many pixels, each once."""
+        return len({(verdict.x, verdict.y) for line in self.lines for verdict in line.group.verdicts})
+
+    @property
+    def says(self) -> str:
+        """What was decided."""
+        decision = self.line.finding.decision
+        return "" if decision is None else decision.says if self.count == 1 else decision.pattern
+
+
 def ours(path: Path) -> bool:
     """Whether a page may be written there: nothing is there yet, or a page of an earlier run."""
     try:
@@ -165,6 +197,9 @@ class Report:
             row = scene.verdicts.by_pixel.get((worst.x, worst.y)) if scene.verdicts else None
             if row and comparison.pass_name in row.verdict.passes:
                 view.worst_row = row
+        errors = np.where(maps.compared, maps.error, -1.0)
+        view.largest_on_edge = bool(errors[maps.edge].max(initial=-1.0) > errors[~maps.edge].max(initial=-1.0))
+        view.nearest = _nearest(comparison, maps)
         name, everywhere = comparison.pass_name, np.ones(maps.edge.shape, dtype=bool)
         hits = tuple(np.asarray(side["id"]) >= 0 if "id" in side else everywhere for side in (a, b))
         drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
@@ -212,6 +247,9 @@ class Report:
             headline=headline(result),
             scenes=self._ordered(),
             summary=self._summary(),
+            names=pairs.names(result.comparisons),
+            matrix=pairs.matrix(result.comparisons) if pairs.several(result.comparisons) else {},
+            alone=pairs.alone(result.comparisons),
             judged=judged(result.verdicts),
             lines=self._lines(),
             lines_shown=LINES,
@@ -230,11 +268,19 @@ class Report:
         """Failures first; the stored pictures keep their order of appearance, as references go by id."""
         return sorted(self._scenes, key=lambda scene: (scene.failed == 0, scene.ok))
 
-    def _lines(self) -> list[tuple[SceneView, Line]]:
-        """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes."""
-        found = [(scene, line) for scene in self._ordered() if scene.verdicts for line in scene.verdicts.lines]
+    def _lines(self) -> list[Why]:
+        """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes.
+
+        What is found of a renderer against one and against another is said once.
+        """
+        found: dict[tuple[object, ...], Why] = {}
+        for scene in self._ordered():
+            for line in scene.verdicts.lines if scene.verdicts else ():
+                # That neither is off is about the pair.
+                who = (scene.renderer, scene.reference) if line.finding.right else line.finding.renderer
+                found.setdefault((scene.label, scene.size, who, *line.key), Why([], [])).add(scene, line)
         worth = {"unexplained": 0, "mistake": 1}
-        return sorted(found, key=lambda entry: worth.get(entry[1].finding.cause, 2))
+        return sorted(found.values(), key=lambda why: worth.get(why.line.finding.cause, 2))
 
     def _summary(self) -> list[dict[str, Any]]:
         """One table a pair of renderers: scenes by passes."""
@@ -263,6 +309,17 @@ class Report:
             table = {"pair": pair, "folder": folder, "columns": columns, "rows": rows}
             tables.append({**table, "failed": failed, "total": total})
         return tables
+
+
+def _nearest(comparison: Comparison, maps: Maps) -> tuple[int, int] | None:
+    """Column and row of the interior pixel that a comparison's ratio is about."""
+    if comparison.interior_over and comparison.worst:
+        return comparison.worst.x, comparison.worst.y
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ratios = np.where(maps.error == 0, 0.0, maps.error / maps.tolerance)
+    ratios = np.where(maps.compared & ~maps.edge, ratios, -1.0)
+    y, x = (int(index) for index in np.unravel_index(int(ratios.argmax()), ratios.shape))
+    return (x, y) if ratios[y, x] >= 0 else None
 
 
 def _order(name: str) -> tuple[int, int]:
@@ -294,10 +351,12 @@ def headline(result: Validation) -> str:
 
 def differing(several: Sequence[Verdicts]) -> str:
     """What to add where comparisons agree, though pixels at edges differ, none of them without an excuse."""
-    differ, count = sum(of.differ for of in several), sum(len(of.verdicts) for of in several)
+    differ, count = different(several)
     if not differ:
         return ""
     text = f" within tolerance; {counted(differ, 'edge pixel')} {'differs' if differ == 1 else 'differ'}"
+    if (pairs := by_pair(several)) > 1:
+        text += f" in {pairs} pairs"
     if not count or not all(of.explained for of in several):
         return text
     if count < differ:
@@ -305,17 +364,39 @@ def differing(several: Sequence[Verdicts]) -> str:
     return f"{text} and {'is' if differ == 1 else 'are'} explained"
 
 
+def by_pair(several: Sequence[Verdicts]) -> int:
+    """1 where every pixel that differs is known, and counted once; else in how many pairs of renderers they differ."""
+    sampled = any(len(of.verdicts) + len(of.unproved) < of.differ for of in several)
+    return len({(of.renderer, of.reference) for of in several}) if sampled else 1
+
+
+def different(several: Sequence[Verdicts]) -> tuple[int, int]:
+    """How many pixels differ, and how many of them were judged: of all pairs each once, where all are known."""
+    if by_pair(several) > 1:
+        return sum(of.differ for of in several), sum(len(of.verdicts) for of in several)
+    pairs: dict[tuple[str, str, str], list[Verdicts]] = {}
+    for of in several:
+        pairs.setdefault((of.scene, of.renderer, of.reference), []).append(of)
+    # Of one pair there are several where a scene was drawn at several sizes: other pixels.
+    if any(len(sizes) > 1 for sizes in pairs.values()) or len({pair[1:] for pair in pairs}) < 2:
+        return sum(of.differ for of in several), sum(len(of.verdicts) for of in several)
+    judged = {(of.scene, verdict.x, verdict.y) for of in several for verdict in of.verdicts}
+    unproved = {(of.scene, *place) for of in several for place in of.unproved}
+    return len(judged | unproved), len(judged)
+
+
 def judged(several: Sequence[Verdicts]) -> dict[str, int | bool]:
     """How many pixels differ, in how many scenes, and how many of them were judged."""
     verdicts = [verdict for of in several for verdict in of.verdicts]
-    differ = sum(of.differ for of in several)
+    differ, count = different(several)
     return {
         "differ": differ,
+        "pairs": by_pair(several),
         "scenes": len({of.scene for of in several}),
-        "count": len(verdicts),
-        "sampled": differ > len(verdicts),
+        "count": count,
+        "sampled": differ > count,
         "both": sum(len(verdict.wrong) > 1 for verdict in verdicts),
-        "all_on_edges": differ == len(verdicts) and all(verdict.edge for verdict in verdicts),
+        "all_on_edges": differ == count and all(verdict.edge for verdict in verdicts),
     }
 
 

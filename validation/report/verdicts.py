@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from tracer.passes import lookup
 from validation.run import explain_command
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from tracer import Scene
     from validation.run import Rendered
@@ -117,6 +116,13 @@ class Line:
         return self.group.finding
 
     @property
+    def key(self) -> tuple[str, str, str]:
+        """Decision and cause, without the numbers of its pixels."""
+        decision, cause = self.finding.decision, self.finding.cause
+        because = "" if cause in ("rounding", "unexplained") else self.finding.because
+        return cause, decision.pattern if decision else "", because
+
+    @property
     def count(self) -> int:
         """How many pixels."""
         return len(self.group.verdicts)
@@ -150,14 +156,21 @@ class VerdictsView:
         return self.verdicts.differ > len(self.verdicts.verdicts)
 
 
-def unexcused(several: Iterable[Verdicts]) -> Counter[str]:
-    """How many pixels are "unexplained" and how many "wrong"; one that is both counts as unexplained."""
-    found: Counter[str] = Counter()
-    for verdict in itertools.chain.from_iterable(verdicts.verdicts for verdicts in several):
-        if not verdict.explained:
-            causes = {finding.cause for finding in verdict.findings}
-            found["unexplained" if "unexplained" in causes else "wrong"] += 1
-    return found
+def unexcused(several: Sequence[Verdicts]) -> Counter[str]:
+    """How many pixels are "unexplained" and how many "wrong"; one that is both counts as unexplained.
+
+    One that differs in several pairs of renderers counts once.
+    """
+    found: dict[tuple[object, ...], str] = {}
+    one_pair = len({(of.renderer, of.reference) for of in several}) < 2
+    for number, of in enumerate(several):
+        for place, verdict in enumerate(of.verdicts):
+            if not verdict.explained:
+                key = (number, place) if one_pair else (of.scene, verdict.x, verdict.y)
+                causes = {finding.cause for finding in verdict.findings}
+                if "unexplained" in causes or key not in found:
+                    found[key] = "unexplained" if "unexplained" in causes else "wrong"
+    return Counter(found.values())
 
 
 def view(rendered: Rendered, scene: str, zoom: int) -> VerdictsView | None:

@@ -1,4 +1,4 @@
-"""Mitsuba 3 as a reference that keeps to the specification's ray ranges: `mitsuba-spec@llvm` and `mitsuba-spec@scalar`.
+"""Mitsuba 3 as a reference that keeps to the specification's ray ranges, `mitsuba-spec`, and the list of all others.
 
 What is Mitsuba's: which shape a ray meets first and where (its acceleration structure, its sphere routine, its instance
 transforms), the hit point, its normal, the identity of the shape, the ambient colour (a shape attribute), and the value
@@ -10,35 +10,32 @@ a root at its start. Exactly it is 0 and does not count; in float32 Mitsuba may 
 that a ray starts on, a hit counts only if it can be the other root: from the inside, and on the way out. Any other hit
 of that sphere is passed over, and the ray goes on behind it. No origin is moved off a surface.
 
-Mitsuba's own integrators move origins by 1e-4 of the scene; here nothing is moved, and the only lengths of ours are
-`SLACK`, one step for rays that go on and one for a light that lies on a surface. docs/tolerances.md derives what
-follows from float32.
+Mitsuba's own integrators, those of `stock.py` and `path.py`, move origins by 1e-4 of the scene; here nothing is moved,
+and the only lengths of ours are `SLACK`, one step for rays that go on and one for a light that lies on a surface.
+docs/tolerances.md derives what follows from float32.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import importlib.metadata
-import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from converters import mitsuba as converter
-from converters import mitsuba_plugins
 from tracer.passes import Passes, names
-from validation.renderers import Settings, Uncertainty
-from validation.renderers.mitsuba import llvm
+from validation.renderers import Renderer, Settings, Uncertainty
+from validation.renderers.mitsuba import llvm, path, stock
 from validation.renderers.mitsuba.driver import Driver
 from validation.renderers.mitsuba.engines import Arrays, Engine, Loop
-from validation.renderers.mitsuba.precision import RANGE, fits_float32, flat_chords, uncertainty
+from validation.renderers.mitsuba.precision import flat_chords, uncertainty
+from validation.renderers.mitsuba.variants import VARIANTS, Variant
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
     from validation.rules import Rule
 
-VARIANTS = {"llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+__all__ = ["VARIANTS", "MitsubaSpec", "llvm", "renderers"]
 
 #: How long a picture may take in scalar mode, in seconds, and what a piece of work takes on a machine of 2024. A scene
 #: may need two: one of its own size with the passes that are quick, and a smaller one with the others.
@@ -48,53 +45,34 @@ COST = {"ray": 1.5e-6, "hit": 3e-6, "stock": 1.5e-6, "phong": 7e-6}
 PROBE = 32
 
 
-class MitsubaSpec:
+class MitsubaSpec(Variant):
     """Mitsuba behind the face of a renderer, in one variant."""
 
-    def __init__(self, backend: str) -> None:
-        """`backend` is a key of VARIANTS."""
-        self.backend = backend
-        self.name = f"mitsuba-spec@{backend}"
-
-    def version(self) -> str:
-        """Mitsuba's version and the variant."""
-        return f"{importlib.metadata.version('mitsuba')} {VARIANTS[self.backend]}"
-
-    def versions(self) -> Mapping[str, str]:
-        """Mitsuba, Dr.Jit, the variant, and the compiler where there is one."""
-        versions = {package: importlib.metadata.version(package) for package in ("mitsuba", "drjit")}
-        versions["mitsuba variant"] = VARIANTS[self.backend]
-        if self.backend == "llvm":
-            path, version = llvm.find()
-            versions["LLVM"] = version if path else "none"
-        return versions
-
-    def unavailable(self) -> str | None:
-        """The scalar variant needs nothing."""
-        if self.backend == "scalar":
-            return None
-        path, reason = llvm.find()
-        return None if path else reason
+    family = "mitsuba-spec"
 
     def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
         """Every pass but the margins; none where float32 does not hold the scene."""
-        if not fits_float32(scene):
+        if stock.refusal(scene, self.backend):
             return ()
         return names(len(scene.lights), settings.max_reflections, margins=False)
 
     def refusal(self, scene: Scene) -> str:
         """Why it has no pass for a scene."""
-        del scene
-        return f"it has numbers outside {RANGE[0]:g} to {RANGE[1]:g}, which float32 does not hold with their squares"
+        return stock.refusal(scene, self.backend) or "nothing"
+
+    def sources(self, scene: Scene, settings: Settings) -> Mapping[str, str]:
+        """Our loop on Mitsuba's hits and the values of its BSDFs, or of our plugins where something shines."""
+        derived = ("depth", "beauty", "direct", "reflection")
+        return {name: "derived" if name in derived else "plugin" for name in self.passes(scene, settings)}
 
     def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
         """What float32 allows; only the variant that compiles intersects in it too."""
         del analysis
-        return uncertainty(scene, settings, float32_roots=self.backend == "llvm")
+        return uncertainty(scene, settings, float32_roots=self.backend != "scalar")
 
     def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
         """How it decides otherwise than the specification, where rounding alone does not say it."""
-        return flat_chords(scene, settings, float32_roots=self.backend == "llvm")
+        return flat_chords(scene, settings, float32_roots=self.backend != "scalar")
 
     def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
         """Exactly the passes asked for.
@@ -117,22 +95,14 @@ class MitsubaSpec:
 
     def engine(self, scene: Scene) -> Engine:
         """The scene's shapes in this variant, which is set."""
-        return Arrays(self.shapes(scene)) if self.backend == "llvm" else Loop(self.shapes(scene))
-
-    def ready(self) -> contextlib.AbstractContextManager[None]:
-        """Have the variant set."""
-        if reason := self.unavailable():
-            raise RuntimeError(f"{self.name} cannot run: {reason}")
-        if self.backend == "llvm":
-            os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(llvm.find()[0]))
-        return mitsuba_plugins.variant(VARIANTS[self.backend])
+        return Loop(self.shapes(scene)) if self.backend == "scalar" else Arrays(self.shapes(scene))
 
     def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
         """For the loop, as many as it can do in BUDGET seconds: the work of a small picture tells.
 
         Counted, not timed, so that the same scene is always drawn at the same size.
         """
-        if self.backend == "llvm":
+        if self.backend != "scalar":
             return None
         return _loop_pixels(scene, tuple(passes))
 
@@ -151,6 +121,7 @@ def _loop_pixels(scene: Scene, passes: tuple[str, ...]) -> int | None:
     return max(PROBE * PROBE, int(BUDGET / seconds * PROBE * PROBE))
 
 
-def renderers() -> list[MitsubaSpec]:
-    """The entry point: the best first."""
-    return [MitsubaSpec("llvm"), MitsubaSpec("scalar")]
+def renderers() -> list[Renderer]:
+    """The entry point: of each family the best first."""
+    spec = [MitsubaSpec(backend) for backend in ("llvm", "scalar", "cuda")]
+    return [*spec, *stock.renderers(), *path.renderers()]

@@ -199,14 +199,14 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
             A = sum(w * d * d for w, d in zip(self.tables.w[sphere], direction, strict=True))
             B = sum(g * d for g, d in zip(gradient, direction, strict=True))
             scaling = [abs(value) for value in scene.spheres[sphere].scaling]
-            size = math.hypot(*map(_about, point)) + end
+            size = math.hypot(*map(about, point)) + end
             lost = roundings
             if float32_roots and len(set(scaling)) > 1:
                 # As in `_oblique`: along the ray to the point next to the centre, and how short of it the walk ends.
-                length = math.hypot(*map(_about, direction))
-                speed = math.sqrt(_about(A)) * min(scaling) / length
-                lost += GROWTH * (_about(B) / math.sqrt(_about(A)) * (1 - speed)) ** 2
-            return _about(B) < 0 and bool(_about(B) ** 2 < _flat(lost, size, min(scaling)) * _about(A))
+                length = math.hypot(*map(about, direction))
+                speed = math.sqrt(about(A)) * min(scaling) / length
+                lost += GROWTH * (about(B) / math.sqrt(about(A)) * (1 - speed)) ** 2
+            return about(B) < 0 and bool(about(B) ** 2 < _flat(lost, size, min(scaling)) * about(A))
 
         def nearest(
             self, relative: list[Any], direction: Vector, bounce: int, own: int, inside: bool
@@ -244,6 +244,6 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
     return [Rule(says, choices=choices)]
 
 
-def _about(value: Any) -> float:
+def about(value: Any) -> float:
     """A ball or an exact number as a float."""
     return float(getattr(value, "ball", value).mid())

@@ -1,0 +1,262 @@
+"""Conventions fitted to images of every kind, also of those that have a real defect, and what is said of both."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import doubles
+import numpy as np
+import planted
+import pytest
+from conftest import Result, strict
+from doubles import with_patch
+from PIL import Image
+
+import tracer
+from tracer.passes import SAMPLES, Sample
+from validation import Settings
+from validation.check import Convention, Picture, check, fit
+from validation.encoding import QUANTISATIONS, Encoding
+from validation.run import resized
+
+CONVENTIONS = [
+    Convention(sample, flipped, quantisation)
+    for sample, quantisation, flipped in itertools.product(SAMPLES, QUANTISATIONS, (False, True))
+]
+#: One of each sampling and of each quantisation: with a defect a fit takes longer.
+SOME = [
+    Convention(sample, False, quantisation)
+    for sample, quantisation in zip(SAMPLES, list(QUANTISATIONS)[1:], strict=True)
+] + [Convention("corner", True)]
+
+Colors = np.ndarray[Any, np.dtype[np.float64]]
+Draw = Callable[..., Any]
+
+
+@functools.cache
+def full() -> tracer.Scene:
+    """Three mirrors and two lights, some of it brighter than 1."""
+    scene = resized(doubles.full(), (64, 48))
+    return scene.replace(lights=[light.replace(intensity=(2, 1.5, 1.2)) for light in scene.lights])
+
+
+@functools.cache
+def cut() -> tracer.Scene:
+    """A sphere cut by the near plane, with a light inside and one outside."""
+    scene = resized(doubles.cut(), (64, 64))
+    return scene.replace(
+        lights=[*scene.lights, tracer.Light(name="sun", position=(4, 5, 6), intensity=(0.5, 0.6, 0.7))]
+    )
+
+
+@functools.cache
+def colors(scene: tracer.Scene, sample: Sample, draw: Draw = doubles.faithful) -> Colors:
+    drawn: Colors = draw(scene, ("beauty",), Settings(sample=sample))["beauty"]
+    return drawn
+
+
+def picture(scene: tracer.Scene, convention: Convention, draw: Draw = doubles.faithful, **encoding: Any) -> Picture:
+    levels = Encoding(convention.quantisation, **encoding).encode(colors(scene, convention.sample, draw))
+    return Picture("scene", scene, convention.upright(levels), encoding.get("steps", 255))
+
+
+@pytest.mark.parametrize(
+    "convention", CONVENTIONS, ids=lambda convention: "-".join(map(str, dataclasses.astuple(convention)))
+)
+def test_every_convention_is_found(convention: Convention) -> None:
+    found = fit([picture(full(), convention)], Settings())
+    assert found.convention == convention
+    assert found.explained == found.pixels == 64 * 48
+    assert (found.alike, found.wraps, found.mistake) == ((), False, "")
+    assert (found.plain == found.pixels) == convention.specified
+
+
+def test_more_levels_than_255() -> None:
+    convention = Convention("top-right", True, "round")
+    assert fit([picture(full(), convention, steps=65535)], Settings()).convention == convention
+
+
+def test_several_pictures_have_one_convention() -> None:
+    convention = Convention("center", False, "256")
+    pictures = [
+        dataclasses.replace(picture(scene, convention), label=str(place)) for place, scene in enumerate((full(), cut()))
+    ]
+    found = fit(pictures, Settings())
+    assert (found.convention, found.pixels) == (convention, 64 * 48 + 64 * 64)
+
+
+def test_what_cannot_be_told_apart_is_said() -> None:
+    """An empty image has no sample points, and two of its levels are the same."""
+    empty = full().replace(spheres=[], background=(0, 1, 0))
+    found = fit([picture(empty, Convention())], Settings())
+    assert found.convention == Convention()
+    assert len(found.alike) == len(CONVENTIONS) - 1
+
+
+class Defect(NamedTuple):
+    draw: Draw
+    scene: Callable[[], tracer.Scene]
+    says: str
+
+
+NORMALS = with_patch(surface=planted.wrong_normals)
+DEFECTS = {
+    "normals": Defect(NORMALS, full, "divides the normal by the scaling once, not twice"),
+    "shadows": Defect(with_patch(hidden=planted.no_shadows), full, "casts no shadows"),
+    "near plane": Defect(
+        with_patch(nearest=planted.no_near_plane), cut, "ignores the near plane: primary hits count from t > 0 on"
+    ),
+}
+
+
+@pytest.mark.parametrize("convention", SOME, ids=lambda convention: "-".join(map(str, dataclasses.astuple(convention))))
+@pytest.mark.parametrize("name", DEFECTS)
+def test_a_convention_is_found_beside_a_defect(name: str, convention: Convention) -> None:
+    defect = DEFECTS[name]
+    found = fit([picture(defect.scene(), convention, defect.draw)], Settings())
+    assert found.convention == convention
+    assert found.explained < found.pixels
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_the_defect_is_found_beside_the_convention(name: str) -> None:
+    defect, convention = DEFECTS[name], Convention("center", True, "round")
+    result = check([picture(defect.scene(), convention, defect.draw)], verdicts=20)
+    assert result.fit is not None
+    assert result.fit.convention == convention
+    assert result.status == 1
+    (verdicts,) = result.validation.verdicts
+    because = {finding.because for verdict in verdicts.verdicts for finding in verdict.wrong}
+    assert because == {f"truth makes this pixel if it {defect.says}"}
+    assert {finding.renderer for verdict in verdicts.verdicts for finding in verdict.wrong} == {"image"}
+    (left,) = result.left
+    assert left.off == left.by_one + left.by_more > 20
+
+
+@pytest.mark.parametrize("convention", SOME, ids=lambda convention: "-".join(map(str, dataclasses.astuple(convention))))
+def test_colors_that_are_not_clamped(convention: Convention) -> None:
+    assert (colors(full(), "corner") > 1).any()
+    found = check([picture(full(), convention, wraps=True)], verdicts=20)
+    assert found.fit is not None
+    assert (found.fit.convention, found.fit.wraps) == (convention, True)
+    (verdicts,) = found.validation.verdicts
+    assert {verdict.renderer.because for verdict in verdicts.verdicts} == {
+        "truth makes this pixel if it does not clamp colors: those above 1 begin again at 0"
+    }
+    assert found.status == 1
+
+
+def test_a_right_image_leaves_nothing() -> None:
+    result = check([picture(full(), Convention("inclusive", False, "srgb"))])
+    assert result.status == 0
+    assert [entry.off for entry in result.left] == [0]
+    assert not result.validation.verdicts
+
+
+def test_one_wrong_pixel_is_left() -> None:
+    right = picture(full(), Convention("center"))
+    levels = right.levels.copy()
+    levels[10, 20] ^= 64
+    levels[0, 0, 1] += 1
+    result = check([dataclasses.replace(right, levels=levels)])
+    (left,) = result.left
+    assert (left.by_one, left.by_more, left.off, result.status) == (1, 1, 2, 1)
+    (verdicts,) = result.validation.verdicts
+    assert [(verdict.x, verdict.y) for verdict in verdicts.verdicts] == [(0, 0), (20, 10)]
+    assert {verdict.renderer.cause for verdict in verdicts.verdicts} == {"unexplained"}
+
+
+# ---- the command
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "full.txt"
+    path.write_text(full().text(), encoding="utf-8")
+    return path
+
+
+def save(path: Path, of: Picture) -> Path:
+    Image.fromarray(of.levels.astype(np.uint8)).save(path)
+    return path
+
+
+def test_the_command_says_all_of_it(scene_file: Path, tmp_path: Path, run: Callable[..., Result]) -> None:
+    image = save(tmp_path / "mine.png", picture(full(), Convention("center", True, "round"), DEFECTS["shadows"].draw))
+    result = run(
+        "check",
+        scene_file,
+        "--image",
+        image,
+        "--verdicts",
+        10,
+        "--json",
+        tmp_path / "r.json",
+        "--report",
+        tmp_path / "r",
+    )
+    assert result.status == 1
+    assert result.out.startswith(
+        "convention: samples at the centre of the pixels; v * 255, rounded; the first row of the file is the lowest\n"
+    )
+    assert "most likely: it casts no shadows (10 of 10 pixels judged)" in result.out
+    assert " are left: " in result.out
+    assert "\nnot right\n" in result.out
+    assert (tmp_path / "r" / "index.html").stat().st_size > 10_000
+    record = strict((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert record["fit"]["sample"] == "center"
+    assert record["fit"]["flipped"] is True
+    assert record["left"][0]["by_more"] > 100
+
+
+def test_a_right_image(scene_file: Path, tmp_path: Path, run: Callable[..., Result]) -> None:
+    result = run("check", scene_file, "--image", save(tmp_path / "mine.png", picture(full(), Convention())))
+    assert (result.status, result.err) == (0, "")
+    assert result.out.splitlines()[-1] == "right"
+    other = save(tmp_path / "mine.png", picture(full(), Convention("center")))
+    assert run("check", scene_file, "--image", other).out.splitlines()[-1] == "right but for its convention"
+
+
+def test_a_program(scene_file: Path, run: Callable[..., Result]) -> None:
+    raytrace = Path(sys.executable).parent / "raytrace"
+    command = f"{shlex.quote(str(raytrace))} {{scene}} --sample center -o {{output}}"
+    result = run("check", scene_file, "--command", command)
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith("convention: samples at the centre of the pixels; v * 255, truncated\n")
+    failing = run("check", scene_file, "--command", f"{shlex.quote(sys.executable)} -c 'raise SystemExit(7)' {{scene}}")
+    assert failing.status == 3
+    assert "status 7" in failing.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "hint"),
+    [
+        ([], "expected either --image or --command", "whitted check SCENE --image FILE"),
+        (["--image", "a.png", "--command", "x {scene}"], "expected either --image or --command", "whitted check"),
+        (["--image", "a.png", "--image", "b.png"], "expected 1 --image for 1 scene, found 2", "one each"),
+        (["--image", "missing.png"], "missing.png: error: No such file", ""),
+        (["--image", "small.png"], "small.png: error: the image is 2x3, the scene asks for 64x48", ""),
+        (["--image", "text.txt"], "text.txt: error: it is no image", "PPM"),
+        (["--command", "x"], "it lacks {scene}", "./mine {scene}"),
+        (["--image", "small.png", "--verdicts", "x"], "--verdicts: 'x' is not a whole number", "--verdicts 500"),
+    ],
+)
+def test_what_is_wrong_is_said(
+    arguments: list[str], error: str, hint: str, scene_file: Path, tmp_path: Path, run: Callable[..., Result]
+) -> None:
+    Image.new("RGB", (2, 3)).save(tmp_path / "small.png")
+    (tmp_path / "text.txt").write_text("hello", encoding="utf-8")
+    words = [str(tmp_path / word) if word.endswith((".png", ".txt")) else word for word in arguments]
+    result = run("check", scene_file, *words)
+    assert result.status == 2
+    assert error in result.err
+    assert hint in result.err
+    assert "Traceback" not in result.err
+    assert not result.out

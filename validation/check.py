@@ -1,0 +1,475 @@
+"""For the author of a ray tracer: which conventions an image was made with, and what they do not explain.
+
+Where in a pixel its ray goes, whether rows count from the top, and what becomes of a colour on its way to a byte are
+conventions that programs differ in, and each changes thousands of pixels of a right image. So they are fitted first:
+those that explain the most pixels. Where a known mistake hides most of the image, truth that makes the mistake tells
+what the bytes of those pixels mean.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tracer
+from tracer.passes import SAMPLES, Passes, Sample
+from validation import images
+from validation.compare import Record
+from validation.encoding import QUANTISATIONS, Encoding
+from validation.renderers import Settings, Uncertainty, floats
+from validation.renderers.command import PREFIX, Command
+from validation.run import MOST_VERDICTS, InputError, Note, Rendered, RendererError, Validation, draw, validate
+
+Colors: TypeAlias = NDArray[np.float64]
+
+if TYPE_CHECKING:
+    from tracer import Scene
+    from tracer.margins import Analysis
+
+#: What an image is held against: it draws every scene, exactly enough for any number of levels.
+REFERENCE = "native-f64"
+
+#: Pixels that are looked at of larger images, drawn at random: enough to tell conventions apart.
+MOST = 400_000
+#: More than this share of pixels left over, and mistakes are tried; at so many of them, and at as many contours.
+TELLING, ASKED = 1e-3, 200
+#: Of those a mistake that makes less than half of the first few is none.
+FIRST = 16
+
+#: Where each sample point lies, in words.
+PLACES: dict[Sample, str] = {
+    "corner": "the top-left corner of the pixels",
+    "center": "the centre of the pixels",
+    "bottom-left": "the bottom-left corner of the pixels",
+    "top-right": "the top-right corner of the pixels",
+    "inclusive": "the first to the last pixel, both on the border",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image of a scene: levels (rows, columns, 3) from 0 to `steps`."""
+
+    label: str
+    scene: Scene
+    levels: NDArray[Any]
+    steps: int = 255
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How an image was made: `sample` as in the settings, `flipped` if the first row of the file is the lowest."""
+
+    sample: Sample = "corner"
+    flipped: bool = False
+    quantisation: str = "truncate"
+
+    def encoding(self, steps: int = 255) -> Encoding:
+        """How its levels stand for colours."""
+        return Encoding(self.quantisation, steps)
+
+    def upright(self, levels: NDArray[Any]) -> NDArray[Any]:
+        """An image with its first row on top."""
+        return levels[::-1] if self.flipped else levels
+
+    @property
+    def specified(self) -> bool:
+        """Whether it is the specification's."""
+        return self == SPECIFIED
+
+    @property
+    def says(self) -> tuple[str, ...]:
+        """In words: sampling, quantisation, and the order of rows where it is not the specification's."""
+        rows = ("the first row of the file is the lowest",) if self.flipped else ()
+        return (f"samples at {PLACES[self.sample]}", QUANTISATIONS[self.quantisation], *rows)
+
+
+#: What the specification asks for.
+SPECIFIED = Convention()
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The convention that explains images best.
+
+    `explained`: pixels whose bytes it makes, of `pixels` that were looked at. `plain`: those that the specification's
+    makes. `alike`: others that explain as many. `wraps`: colours above 1 were not clamped but begin again at 0.
+    `mistake`: the known mistake with which the bytes make sense, as a clause.
+    """
+
+    convention: Convention
+    pixels: int
+    explained: int
+    plain: int
+    alike: tuple[Convention, ...] = ()
+    wraps: bool = False
+    mistake: str = ""
+
+
+@dataclass
+class _Candidate:
+    convention: Convention
+    wraps: bool
+    explained: int = 0
+    places: list[NDArray[np.bool_]] = field(default_factory=list)  # by picture, where
+
+
+def fit(pictures: Sequence[Picture], settings: Settings) -> Fit:
+    """The convention that explains the most pixels of all pictures together, the likeliest of several that do.
+
+    `settings.sample` plays no part.
+    """
+    chosen = [_chosen(picture) for picture in pictures]
+    found = {
+        (convention, wraps): _Candidate(convention, wraps) for wraps in (False, True) for convention in conventions()
+    }
+    for sample in SAMPLES:
+        for picture, places in zip(pictures, chosen, strict=True):
+            colors = _draw(picture.scene, replace(settings, sample=sample)).reshape(-1, 3)[places]
+            above = bool((colors > 1).any())
+            rows = [picture.levels[::step].reshape(-1, 3)[places] for step in (1, -1)]
+            for quantisation, flipped in itertools.product(QUANTISATIONS, (False, True)):
+                for wraps in (False, True):
+                    if above or not wraps:
+                        same = (Encoding(quantisation, picture.steps, wraps).encode(colors) == rows[flipped]).all(
+                            axis=-1
+                        )
+                    candidate = found[Convention(sample, flipped, quantisation), wraps]
+                    candidate.explained += int(same.sum())
+                    candidate.places.append(same)
+    pixels = sum(map(len, chosen))
+    candidates = list(found.values())
+    best = max(candidates, key=lambda candidate: candidate.explained)
+    alike = [
+        candidate.convention
+        for candidate in candidates
+        if candidate.explained == best.explained and not candidate.wraps and candidate is not best
+    ]
+    plain = found[SPECIFIED, False].explained
+    if pixels - best.explained > TELLING * pixels:
+        told = _mistaken(pictures, chosen, best, settings)
+        if told is not None:
+            (convention, *others), mistake = told
+            explained = found[convention, best.wraps].explained
+            return Fit(convention, pixels, explained, plain, tuple(others), best.wraps, mistake)
+    return Fit(best.convention, pixels, best.explained, plain, tuple(alike), best.wraps)
+
+
+def conventions() -> Iterator[Convention]:
+    """All of them, the likeliest first."""
+    for flipped, sample, quantisation in itertools.product((False, True), SAMPLES, QUANTISATIONS):
+        yield Convention(sample, flipped, quantisation)
+
+
+def _draw(scene: Scene, settings: Settings) -> NDArray[np.float64]:
+    drawn = tracer.render(
+        scene,
+        ("beauty",),
+        threads=settings.threads,
+        sample=settings.sample,
+        shadow_epsilon=settings.shadow_epsilon,
+        max_reflections=settings.max_reflections,
+    )
+    return drawn["beauty"]
+
+
+def _chosen(picture: Picture) -> NDArray[np.int64]:
+    """The pixels that are looked at, by index."""
+    count = picture.levels.shape[0] * picture.levels.shape[1]
+    if count <= MOST:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, MOST, replace=False))
+
+
+def _mistaken(
+    pictures: Sequence[Picture], chosen: Sequence[NDArray[np.int64]], best: _Candidate, settings: Settings
+) -> tuple[list[Convention], str] | None:
+    """The conventions with which truth that makes a known mistake makes the most pixels, and the mistake; None: none.
+
+    Of the picture of which the most is left: some of these pixels tell the mistake and the quantisation, and some
+    at contours of the image the sampling.
+    """
+    from validation.rules import mistakes
+    from validation.truth import NOWHERE, Prover
+
+    missed = [np.flatnonzero(~same) for same in best.places]
+    worst = max(range(len(pictures)), key=lambda k: len(missed[k]))
+    picture = pictures[worst]
+    columns, steps, wraps = picture.levels.shape[1], picture.steps, best.wraps
+    upright = best.convention.upright(picture.levels)
+    levels = upright.reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    left = rng.permutation(chosen[worst][missed[worst]])[:ASKED]
+    contours = rng.permutation(np.flatnonzero(_contours(upright)))[:ASKED]
+    asked = np.concatenate([left, contours])
+    settings = replace(settings, sample=best.convention.sample)
+
+    def colors(prover: Prover, places: NDArray[np.int64]) -> Colors:
+        """Of changed truth; NaN where it cannot be had, which no level stands for."""
+        found = np.full((len(places), 3), np.nan)
+        for k, place in enumerate(places):
+            with contextlib.suppress(*NOWHERE):
+                truth = prover.pixel(int(place % columns), int(place // columns), ties=False)
+                found[k] = [ball.value for ball in truth.values["beauty"]]
+        return found
+
+    def same(made: Colors, places: NDArray[np.int64], quantisation: str) -> int:
+        encoding = Encoding(quantisation, steps, wraps)
+        return int(((encoding.encode(made) == levels[places]) & ~np.isnan(made)).all(axis=-1).sum())
+
+    most, result = len(asked) / 2, None
+    for rule in mistakes(picture.scene, settings):
+        told = rule.settings(settings)
+        if told.sample != settings.sample:
+            continue
+        prover = Prover(picture.scene, told, follower=rule.follower)
+        first = colors(prover, left[:FIRST])
+        if max(same(first, left[:FIRST], quantisation) for quantisation in QUANTISATIONS) < len(first) / 2:
+            continue
+        found: dict[Convention, int] = {}
+        for sample in SAMPLES:
+            made = colors(Prover(picture.scene, replace(told, sample=sample), follower=rule.follower), asked)
+            for quantisation in QUANTISATIONS:
+                found[Convention(sample, best.convention.flipped, quantisation)] = same(made, asked, quantisation)
+        if (count := max(found.values())) > most:
+            most, result = count, ([entry for entry in found if found[entry] == count], rule.says)
+    return result
+
+
+def _contours(levels: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where an image changes from a pixel to the next by more than a sixteenth of its range."""
+    values = levels.astype(np.int64)
+    least = (int(values.max(initial=0)) - int(values.min(initial=0))) // 16
+    found = np.zeros(values.shape[:2], dtype=bool)
+    across = (np.abs(np.diff(values, axis=1)) > least).any(axis=-1)
+    down = (np.abs(np.diff(values, axis=0)) > least).any(axis=-1)
+    found[:, 1:] |= across
+    found[:, :-1] |= across
+    found[1:] |= down
+    found[:-1] |= down
+    return found
+
+
+# ---- what is left
+
+
+class Still:
+    """Images that are there already, behind the face of a renderer: each is of one scene."""
+
+    precision = "8-bit"
+
+    def __init__(self, name: str, pictures: Sequence[Picture], convention: Convention) -> None:
+        """`pictures` were made with that convention."""
+        self.name, self.pictures = name, pictures
+        self.convention, self.encoding = convention, Encoding(convention.quantisation)
+
+    def version(self) -> str:
+        """Nothing is known about what made them."""
+        return "unknown"
+
+    def versions(self) -> Mapping[str, str]:
+        """How they are read."""
+        return {"convention": "; ".join(self.convention.says)}
+
+    def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
+        """The image, of the scenes that there is one of."""
+        del settings
+        return ("beauty",) if any(picture.scene == scene for picture in self.pictures) else ()
+
+    def refusal(self, scene: Scene) -> str:
+        """Why there is none."""
+        view = scene.view
+        return f"it has no image of {view.columns}x{view.rows} pixels"
+
+    def unavailable(self) -> str | None:
+        """They are there."""
+        return None
+
+    def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
+        """What a careful program in float32 may be off by: nothing is known about its precision."""
+        del analysis
+        return floats.uncertainty("f32", scene, settings)
+
+    def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        """The image of that scene, levels over their number."""
+        del settings
+        picture = next(picture for picture in self.pictures if picture.scene == scene)
+        beauty = self.convention.upright(picture.levels) / np.float64(picture.steps)
+        return Passes(dict.fromkeys(passes, beauty), {"levels": str(picture.steps)})
+
+    def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
+        """They are there."""
+        del scene, passes
+        return None
+
+
+@dataclass(frozen=True)
+class Left:
+    """Pixels of one image that its convention does not explain: off by one level or by more, and at edges or not."""
+
+    label: str
+    pixels: int
+    by_one: int
+    by_more: int
+    interior: int
+    edge: int
+
+    @property
+    def off(self) -> int:
+        """All of them."""
+        return self.interior + self.edge
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The convention of some images, what it leaves, and the comparison and verdicts behind that."""
+
+    fit: Fit | None  # None: there was no image
+    left: Sequence[Left]
+    validation: Validation
+
+    @property
+    def status(self) -> int:
+        """The exit status: as of the comparison; a convention of its own is no fault."""
+        return self.validation.status
+
+    def record(self) -> Record:
+        """Everything as strictly valid JSON: that of the comparison, `fit` and `left` before it."""
+        fit = self.fit
+        return {
+            "fit": fit
+            and {
+                "sample": fit.convention.sample,
+                "flipped": fit.convention.flipped,
+                "quantisation": fit.convention.quantisation,
+                "says": list(fit.convention.says),
+                "pixels": fit.pixels,
+                "explained": fit.explained,
+                "explained_by_specification": fit.plain,
+                "alike": [list(convention.says) for convention in fit.alike],
+                "wraps": fit.wraps,
+                "mistake": fit.mistake or None,
+            },
+            "left": [vars(entry).copy() for entry in self.left],
+            **self.validation.record(),
+        }
+
+
+def check(
+    pictures: Sequence[Picture],
+    settings: Settings | None = None,
+    *,
+    name: str = "image",
+    failures: Sequence[Note] = (),
+    verdicts: int = MOST_VERDICTS,
+    on_rendered: Callable[[Rendered], None] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Checked:
+    """Fit the convention of images that one program made, and compare and judge what it leaves.
+
+    Args:
+        pictures: one a scene, labels all different.
+        settings: what the program does; its `sample` is fitted.
+        name: of the program, for the verdicts.
+        failures: what it failed at before, of other scenes.
+        verdicts: of each image so many differing pixels are judged at most.
+        on_rendered: called with every image that was compared.
+        progress: called with what is being done.
+    """
+    settings = settings or Settings()
+    if not pictures:
+        nothing = Validation(settings=settings, failures=list(failures))
+        return Checked(None, (), nothing)
+    if progress:
+        progress("fitting sampling and quantisation")
+    found = fit(pictures, settings)
+    still = Still(name, pictures, found.convention)
+    left: list[Left] = []
+
+    def rendered(entry: Rendered) -> None:
+        for comparison in entry.comparisons:
+            if comparison.maps is not None:
+                left.append(_left(entry, comparison.maps, found.convention))
+        if on_rendered:
+            on_rendered(entry)
+
+    result = validate(
+        {picture.label: picture.scene for picture in pictures},
+        [still],
+        [REFERENCE],
+        passes=("beauty",),
+        settings=replace(settings, sample=found.convention.sample),
+        limits=False,
+        verdicts=verdicts,
+        on_rendered=rendered,
+        progress=progress,
+    )
+    result.failures[:0] = failures
+    return Checked(found, left, result)
+
+
+def read_picture(path: Path, label: str, scene: Scene) -> Picture:
+    """The image of a scene.
+
+    Raises:
+        InputError: it is not one, or not of this size.
+    """
+    view = scene.view
+    try:
+        image = images.decode(path.read_bytes(), (view.columns, view.rows))
+    except images.ImageError as error:
+        raise InputError(f"{path}: error: {error.message}" + f"\n  hint: {error.hint}" * bool(error.hint)) from error
+    except OSError as error:
+        raise InputError(f"{path}: error: {error.strerror or error}") from error
+    return Picture(label, scene, image.levels, image.steps)
+
+
+def draw_pictures(
+    scenes: Mapping[str, Scene],
+    template: str,
+    settings: Settings,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[list[Picture], list[Note]]:
+    """What a program draws of every scene, and what it failed at.
+
+    Raises:
+        TemplateError: that is no command.
+    """
+    program = Command(f"{PREFIX}{template}")
+    pictures, failures = [], []
+    for label, scene in scenes.items():
+        if progress:
+            progress(f"{label}: {template}")
+        try:
+            drawn = draw(program, label, scene, ("beauty",), settings)
+        except RendererError as error:
+            failures.append(Note(label, program.name, str(error)))
+            continue
+        steps = int(drawn.metadata["levels"])
+        pictures.append(Picture(label, scene, np.rint(drawn["beauty"] * steps).astype(np.int64), steps))
+    return pictures, failures
+
+
+def _left(entry: Rendered, maps: Any, convention: Convention) -> Left:
+    drawn, colors = entry.renderer["beauty"], entry.reference["beauty"]
+    steps = int(entry.renderer.metadata["levels"])
+    levels = np.rint(drawn * steps).astype(np.int64)
+    apart = np.abs(levels - convention.encoding(steps).encode(colors)).max(axis=-1)
+    off, edge = maps.over, maps.edge
+    # Where no level differs and yet it is over tolerance there is none: levels are compared as what they stand for.
+    return Left(
+        entry.label,
+        off.size,
+        int((off & (apart <= 1)).sum()),
+        int((off & (apart > 1)).sum()),
+        int((off & ~edge).sum()),
+        int((off & edge).sum()),
+    )

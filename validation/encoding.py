@@ -1,0 +1,144 @@
+"""How the levels of an image file stand for colours: what programs do between a colour and a byte."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from validation import metrics
+
+Array: TypeAlias = NDArray[np.float64]
+Levels: TypeAlias = NDArray[np.int64]
+
+#: What each does with a colour v that is clamped to [0, 1], for `steps` levels above 0; the specification's first.
+QUANTISATIONS = {
+    "truncate": "v * 255, truncated",
+    "round": "v * 255, rounded",
+    "255.9": "v * 255.9, truncated",
+    "256": "v * 256, truncated, at most 255",
+    "srgb": "the sRGB curve of v, times 255, rounded",
+    "srgb-truncate": "the sRGB curve of v, times 255, truncated",
+}
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How a level stands for a colour: every level from 0 to `steps` for an interval of them.
+
+    `quantisation`: a key of QUANTISATIONS. `wraps`: colours above 1 are not clamped: their levels begin again at 0, as
+    those of a byte do.
+    """
+
+    quantisation: str = "truncate"
+    steps: int = 255
+    wraps: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what is not known."""
+        if self.quantisation not in QUANTISATIONS:
+            raise ValueError(f"unknown quantisation '{self.quantisation}': expected one of {', '.join(QUANTISATIONS)}")
+
+    @property
+    def says(self) -> str:
+        """In words, for a v between 0 and 1."""
+        text = QUANTISATIONS[self.quantisation]
+        if self.steps == 255:
+            return text
+        return (
+            text.replace("255.9", f"{self.steps + 0.9:g}")
+            .replace("256", f"{self.steps + 1}")
+            .replace("255", str(self.steps))
+        )
+
+    def encode(self, colors: NDArray[Any]) -> Levels:
+        """The levels of colours."""
+        values = np.asarray(colors, dtype=np.float64)
+        values = np.where(values > 0, values if self.wraps else np.where(values < 1, values, 1.0), 0.0)
+        # A little above 1 a colour that wraps begins again.
+        scaled = np.floor(self._scale() * self._curve(values) + self._offset())
+        most = self.steps + 1 if self.wraps else np.inf
+        levels: Levels = np.where(scaled == np.inf, 0, np.mod(scaled, most) if self.wraps else scaled).astype(np.int64)
+        return levels if self.wraps else np.minimum(levels, self.steps)
+
+    def interval(self, levels: NDArray[Any]) -> tuple[Array, Array]:
+        """The colours that levels may come from, from the lowest to the highest; those of the ends have no bound."""
+        at = np.asarray(levels, dtype=np.float64)
+        low = self._inverse((at - self._offset()) / self._scale())
+        high = self._inverse((at + 1 - self._offset()) / self._scale())
+        return np.where(at <= 0, -np.inf, low), np.where(at >= self.steps, np.inf, high)
+
+    def distance(self, levels: NDArray[Any], colors: NDArray[Any]) -> Array:
+        """How far colours lie from those that levels may come from, 0 inside; NaN of what is no number."""
+        values = np.asarray(colors, dtype=np.float64)
+        at = np.asarray(levels, dtype=np.float64)
+        if self.wraps:
+            # The turn that brings a level nearest to the colour.
+            turn = self.steps + 1
+            scaled = self._scale() * self._curve(np.maximum(values, 0.0)) + self._offset() - 0.5
+            at = at + turn * np.maximum(np.rint((scaled - at) / turn), 0.0)
+            low = np.where(at <= 0, -np.inf, self._inverse((at - self._offset()) / self._scale()))
+            high = self._inverse((at + 1 - self._offset()) / self._scale())
+        else:
+            low, high = self.interval(at)
+        with np.errstate(invalid="ignore"):
+            apart = np.where(values < low, low - values, np.where(values > high, values - high, 0.0))
+        result: Array = np.where(np.isnan(values), np.nan, apart)
+        return result
+
+    def _scale(self) -> float:
+        return {"255.9": self.steps + 0.9, "256": self.steps + 1.0}.get(self.quantisation, float(self.steps))
+
+    def _offset(self) -> float:
+        return 0.5 if self.quantisation in ("round", "srgb") else 0.0
+
+    def _curve(self, values: Array) -> Array:
+        if not self.quantisation.startswith("srgb"):
+            return values
+        # IEC 61966-2-1, written so that 1 stays 1.
+        with np.errstate(invalid="ignore"):
+            power = np.power(np.maximum(values, 0.0), 1 / 2.4)
+            return np.where(values <= 0.0031308, 12.92 * values, 1 - 1.055 * (1 - power))
+
+    def _inverse(self, values: Array) -> Array:
+        if not self.quantisation.startswith("srgb"):
+            return values
+        with np.errstate(invalid="ignore"):
+            power = np.power((np.maximum(values, 0.0) + 0.055) / 1.055, 2.4)
+            return np.where(values <= 0.04045, values / 12.92, power)
+
+
+#: Of two images; None: it holds colours.
+Encodings: TypeAlias = tuple[Encoding | None, Encoding | None]
+
+
+def difference(a: Array, b: Array, encodings: Encodings) -> Array:
+    """How far apart colours are at least, of which one side or both are levels over their steps."""
+    first, second = encodings
+    if first is None and second is None:
+        return metrics.difference(a, b)
+    if second is None:
+        assert first is not None
+        return first.distance(_levels(a, first), b)
+    if first is None:
+        return second.distance(_levels(b, second), a)
+    (a_low, a_high), (b_low, b_high) = first.interval(_levels(a, first)), second.interval(_levels(b, second))
+    apart: Array = np.maximum(np.maximum(a_low - b_high, b_low - a_high), 0.0)
+    return apart
+
+
+def shown(a: Array, b: Array, encodings: Encodings) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Both as bytes: what holds colours encoded as the other side is."""
+    first, second = encodings
+    known = first or second or Encoding()
+    sides = ((a, first), (b, second))
+    levels = [(_levels(values, of) if of else known.encode(values), of or known) for values, of in sides]
+    one, other = ((entry * 255 // of.steps).astype(np.uint8) for entry, of in levels)
+    return one, other
+
+
+def _levels(values: Array, of: Encoding) -> Levels:
+    levels: Levels = np.rint(np.where(np.isfinite(values), values, 0.0) * of.steps).astype(np.int64)
+    return levels

@@ -1,0 +1,264 @@
+"""Mitsuba with no plugin of ours, `mitsuba-stock`: a reference that shares no line with us but the scene's numbers.
+
+Camera, shapes, BSDFs, light, integrators and AOVs are Mitsuba's own, put together by `converters.mitsuba` as for a file
+that its own program renders. What is ours is arithmetic on the images: the falloff of the stock light is undone with
+the position AOV, terms are multiplied by the intensity of the ambient light, and sums are added up.
+
+Stock Mitsuba has no Phong term and no light that a mirror shows without falloff: passes with these are left out where
+the scene has them. Shadow rays are Mitsuba's, with its epsilons: `epsilons.py` says what follows.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from converters import mitsuba as converter
+from tracer.passes import Passes, names
+from validation.renderers import Settings, Uncertainty
+from validation.renderers.mitsuba import epsilons
+from validation.renderers.mitsuba.precision import RANGE, UNIT_ROUNDOFF, fits_float32
+from validation.renderers.mitsuba.variants import Variant
+
+if TYPE_CHECKING:
+    from tracer import Scene, Sphere
+    from tracer.margins import Analysis
+    from validation.rules import Rule
+
+Image = NDArray[np.float64]
+
+#: Of the passes that do not depend on a light.
+SURFACES = ("depth", "position", "normal", "id")
+#: A sphere's index as an albedo, which holds it exactly.
+CODE = 2.0**-20
+
+
+class MitsubaStock(Variant):
+    """Stock Mitsuba behind the face of a renderer, in one variant."""
+
+    family = "mitsuba-stock"
+
+    def refusal(self, scene: Scene) -> str:
+        """Why it has no pass for a scene."""
+        return refusal(scene, self.backend) or "pixels that are not square need a camera of ours"
+
+    def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
+        """What stock plugins can say of this scene exactly."""
+        if refusal(scene, self.backend) or not converter.square_pixels(scene.view, settings.sample):
+            return ()
+        spheres = [scene.spheres[i] for i in scene.distinct]
+        found = {*SURFACES, "ambient"}
+        if not scene.lights or epsilons.too_small(scene, settings) is None:
+            found |= {"diffuse", *(f"shadow.L{i}" for i in range(len(scene.lights)))}
+            if not scene.lights or not any(sphere.ks for sphere in spheres):
+                found |= {"specular", "direct"}
+        if settings.max_reflections == 0 or not any(sphere.kr for sphere in spheres):
+            found |= {"reflection", *(f"reflection.{k}" for k in range(1, settings.max_reflections + 1))}
+            if "direct" in found:
+                found.add("beauty")
+        return tuple(
+            name for name in names(len(scene.lights), settings.max_reflections, margins=False) if name in found
+        )
+
+    def sources(self, scene: Scene, settings: Settings) -> Mapping[str, str]:
+        """Images of stock Mitsuba, or sums of them; what is 0 in a scene is not drawn."""
+        drawn = {*SURFACES[1:], "ambient", "diffuse"}
+        return {
+            name: "stock" if name in drawn or name.startswith("shadow.") else "derived"
+            for name in self.passes(scene, settings)
+        }
+
+    def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
+        """What float32 and the epsilons of shadow rays allow."""
+        return epsilons.uncertainty(
+            scene,
+            settings,
+            analysis,
+            float32_roots=self.backend != "scalar",
+            mirrors=False,
+            shadows=epsilons.too_small(scene, settings) is None,
+        )
+
+    def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
+        """Where its shadow rays start and end."""
+        return epsilons.rules(scene, settings, float32_roots=self.backend != "scalar")
+
+    def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
+        """It is quick."""
+        del scene, passes
+        return None
+
+    def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
+        """Exactly the passes asked for.
+
+        Raises:
+            ValueError: a pass that it does not have for this scene.
+            RuntimeError: this variant cannot run here, or is a version of Mitsuba with other epsilons.
+        """
+        if unknown := [name for name in passes if name not in self.passes(scene, settings)]:
+            raise ValueError(f"{self.name} has no pass '{unknown[0]}' for this scene")
+        with self.ready():
+            epsilons.check()
+            images = _draw(scene, frozenset(passes), settings)
+        return Passes({name: images[name] for name in passes}, self.versions())
+
+
+def refusal(scene: Scene, backend: str) -> str | None:
+    """Why Mitsuba's integrators cannot draw a scene, whatever its camera; None if they can."""
+    if not fits_float32(scene):
+        return f"it has numbers outside {RANGE[0]:g} to {RANGE[1]:g}, which float32 does not hold with their squares"
+    if backend == "cuda" and any(len({abs(v) for v in scene.spheres[i].scaling}) > 1 for i in scene.distinct):
+        return "it has ellipsoids, whose instances Mitsuba's sphere routine for GPUs misses at an angle"
+    return None
+
+
+def _draw(scene: Scene, wanted: frozenset[str], settings: Settings) -> dict[str, Image]:
+    """Every pass that is wanted, and what it is made of."""
+    shape = (scene.view.rows, scene.view.columns)
+    black = np.zeros((*shape, 3))
+    images = surfaces(scene, settings)
+    hit = images["id"] >= 0
+    images["ambient"] = black
+    if wanted & {"ambient", "beauty"}:
+        images["ambient"] = albedo(with_surfaces(scene, kd=0.0), settings) * np.array(scene.ambient)
+    needs_diffuse = bool(wanted & {"diffuse", "direct", "beauty"})
+    images["diffuse"] = black.copy()
+    for i in range(len(scene.lights)):
+        if needs_diffuse or f"shadow.L{i}" in wanted:
+            diffuse, images[f"shadow.L{i}"] = light(scene, i, settings, images["position"], hit, diffuse=needs_diffuse)
+            images["diffuse"] += diffuse
+    # Only where the scene has no such term.
+    images["specular"] = images["reflection"] = black
+    images |= {f"reflection.{k}": black for k in range(1, settings.max_reflections + 1)}
+    images["direct"] = images["diffuse"]
+    images["beauty"] = np.where(hit[..., None], images["ambient"] + images["direct"], np.array(scene.background))
+    return images
+
+
+def with_surfaces(scene: Scene, **changes: Any) -> Scene:
+    """The same scene, with no background, neither highlights nor mirrors, and other surfaces."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its reader has warned already
+        spheres = [sphere.replace(**({"ks": 0.0, "kr": 0.0} | changes)) for sphere in scene.spheres]
+        return scene.replace(spheres=spheres, background=(0, 0, 0), limits=False)
+
+
+def rendered(described: Mapping[str, Any]) -> dict[str, Image]:
+    """The channels of an image, by name. Robust: boxes around shapes are not missed by a rounding."""
+    import mitsuba as mi
+
+    scene = mi.load_dict({**described, "embree_use_robust_intersections": True})
+    mi.render(scene, seed=0)
+    return channels(scene)
+
+
+def channels(scene: Any) -> dict[str, Image]:
+    """What was rendered last; the film knows the names."""
+    bitmap = scene.sensors()[0].film().bitmap()
+    return dict(
+        zip([field.name for field in bitmap.struct_()], np.moveaxis(np.array(bitmap, np.float64), -1, 0), strict=True)
+    )
+
+
+def stacked(images: Mapping[str, Image], stem: str = "", of: str = "RGB") -> Image:
+    """Some channels as the last axis."""
+    return np.stack([images[f"{stem}{name}"] for name in of], axis=-1)
+
+
+def albedo(scene: Scene, settings: Settings) -> Image:
+    """The reflectance of what a pixel shows: Ka times the colour."""
+    described = converter.to_dict(scene, sample=settings.sample, stock_only=True, aovs="albedo:albedo")
+    return stacked(rendered(described), "albedo.")
+
+
+def surfaces(scene: Scene, settings: Settings) -> dict[str, Image]:
+    """What the AOVs say of the primary hits: id, position, depth, and the normal on the side that is seen."""
+    coded = with_surfaces(scene, kd=0.0, ka=1.0)
+    # The number of a shape in a group cannot be asked for, and depends on the order of loading: albedos tell.
+    spheres = [sphere.replace(color=((i + 1) * CODE,) * 3) for i, sphere in enumerate(coded.spheres)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        coded = coded.replace(spheres=spheres, limits=False)
+    aovs = "albedo:albedo,position:position,normal:sh_normal"
+    found = rendered(converter.to_dict(coded, sample=settings.sample, aovs=aovs))
+    id = np.rint(found["albedo.R"] / CODE).astype(np.int32) - 1
+    hit = id >= 0
+    position = np.where(hit[..., None], stacked(found, "position.", "XYZ"), 0.0)
+    normal = np.where(hit[..., None], stacked(found, "normal.", "XYZ"), 0.0)
+    inside = _inside(scene, settings, id, position, normal)
+    # Mitsuba's depth counts from the near plane.
+    depth = np.where(hit, np.linalg.norm(position, axis=-1), np.inf)
+    return {
+        "id": id,
+        "position": position,
+        "normal": np.where(inside[..., None], -normal, normal),
+        "depth": depth,
+    }
+
+
+def _inside(scene: Scene, settings: Settings, id: Any, position: Image, normal: Image) -> NDArray[np.bool_]:
+    """Whether the inside of a sphere is seen: its ray starts in it.
+
+    Not the angle of ray and normal, which rounding turns over at an outline, but where the image plane cuts the sphere:
+    there the start is on the sphere as far as float32 knows.
+    """
+    if not scene.spheres:
+        return np.zeros(id.shape, bool)
+    view, frame = scene.view, converter.window(scene.view, settings.sample)
+    x = frame.left + (frame.right - frame.left) * (np.arange(view.columns) + 0.5) / view.columns
+    y = frame.top - (frame.top - frame.bottom) * (np.arange(view.rows) + 0.5) / view.rows
+    start = np.stack([*np.meshgrid(x, y), np.full(id.shape, -view.near)], axis=-1)
+    center = np.array([s.position for s in scene.spheres])[id]
+    scaling = np.array([s.scaling for s in scene.spheres])[id]
+    beside = (start - center) / scaling
+    depth = (beside**2).sum(axis=-1) - 1
+    moves = np.abs(beside / scaling) * (np.abs(start) + np.abs(center) + np.abs(start - center))
+    on = np.abs(depth) <= 2 * UNIT_ROUNDOFF * moves.sum(axis=-1)
+    found: NDArray[np.bool_] = np.where(on, (normal * position).sum(axis=-1) > 0, depth < 0)
+    return found
+
+
+def light(
+    scene: Scene, i: int, settings: Settings, position: Image, hit: NDArray[np.bool_], *, diffuse: bool
+) -> tuple[Image, Image]:
+    """The diffuse term of one light, and where it is visible."""
+    source = scene.lights[i]
+    # As Mitsuba has it. A power of 4 keeps the image far from underflow.
+    place = np.array(source.position, np.float32).astype(np.float64)
+    squared = ((position - place) ** 2).sum(axis=-1)
+    scale = 4.0 ** round(np.log2(squared[hit].max(initial=1.0) or 1.0) / 2)
+    falloff = np.pi * squared[..., None] / scale
+
+    def drawn(of: Scene, intensity: Sequence[float]) -> Image:
+        """Without falloff. At the light itself there is no light, and no number either."""
+        lights = [entry.replace(intensity=intensity) for entry in of.lights]
+        of = of.replace(lights=lights, limits=False)
+        described = converter.to_dict(of, sample=settings.sample, stock_only=True, light=i)
+        return np.where(squared[..., None] > 0, stacked(rendered(described)) * falloff, 0.0)
+
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plain = with_surfaces(scene)
+        # Mitsuba has no light below 0.
+        color = np.zeros((*hit.shape, 3))
+        if diffuse:
+            color = drawn(plain, [abs(value) * scale for value in source.intensity]) * np.sign(source.intensity)
+        if diffuse and all(_shows(plain.spheres[j], source.intensity) for j in plain.distinct):
+            lit = color
+        else:
+            lit = drawn(with_surfaces(scene, kd=1.0, color=(1, 1, 1)), [scale] * 3)
+    return color, (hit & (lit.any(axis=-1) | (squared == 0))).astype(np.float64)
+
+
+def _shows(sphere: Sphere, intensity: Sequence[float]) -> bool:
+    """Whether a light's diffuse term is not 0 where the light is visible."""
+    return sphere.kd > 0 and any(a * b for a, b in zip(sphere.color, intensity, strict=True))
+
+
+def renderers() -> list[MitsubaStock]:
+    """The best first: the scalar variant intersects spheres in float64."""
+    return [MitsubaStock("scalar"), MitsubaStock("llvm"), MitsubaStock("cuda")]
