@@ -6,15 +6,16 @@ PACKAGES := git make g++ python3-dev python3-venv
 NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
 CPUS := $(shell nproc 2>/dev/null || echo 2)
 
-.PHONY: help demo certify test lint clean install always
+.PHONY: help demo regression certify test lint clean install always
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    validate the bundled scenes against Mitsuba and write report/index.html"
-	@echo "make certify prove pixels of the bundled scenes and hold our renderers against them"
-	@echo "make test    run the whole test suite"
-	@echo "make lint    ruff, mypy, import-linter, clang-format, and C++ without a warning"
-	@echo "make clean   remove everything that the other targets made"
+	@echo "make demo        validate the bundled scenes against Mitsuba and write report/index.html"
+	@echo "make regression  every pass of the bundled scenes against every reference, to build/results.json"
+	@echo "make certify     prove pixels of the bundled scenes and hold our renderers against them"
+	@echo "make test        run the whole test suite"
+	@echo "make lint        ruff, mypy, import-linter, clang-format, and C++ without a warning"
+	@echo "make clean       remove everything that the other targets made"
 
 # The system packages, checked by what they bring.
 $(VENV)/checked: Makefile
@@ -52,6 +53,12 @@ install: $(VENV)/installed
 
 demo: install
 	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report; status=$$?; \
+	$(BIN)/whitted renderers --missing; exit $$status
+
+# The whole regression suite: every pass of every bundled scene, against every reference, at full size.
+regression: install
+	$(BIN)/whitted validate scenes/gallery scenes/spec --json build/results.json \
+		--against mitsuba-stock,mitsuba-spec,mitsuba-path,povray; status=$$?; \
 	$(BIN)/whitted renderers --missing; exit $$status
 
 certify: install

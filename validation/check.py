@@ -43,6 +43,9 @@ TELLING, ASKED = 1e-3, 200
 #: Of those a mistake that makes less than half of the first few is none.
 FIRST = 16
 
+#: Conventions that explain an image equally well and are named.
+MOST_ALIKE = 3
+
 #: Where each sample point lies, in words.
 PLACES: dict[Sample, str] = {
     "corner": "the top-left corner of the pixels",
@@ -340,6 +343,33 @@ class Checked:
         """The exit status: as of the comparison; a convention of its own is no fault."""
         return self.validation.status
 
+    def about(self) -> list[str]:
+        """The convention, what it explains, and what is left, a line each; indented: about the line before."""
+        lines = []
+        if fit := self.fit:
+            share = f"{fit.explained} of {fit.pixels} pixels"
+            lines.append(f"convention: {'; '.join(fit.convention.says)}")
+            if fit.convention.specified:
+                lines.append(f"  that of the specification; it makes {share} byte by byte")
+            else:
+                lines.append(f"  it makes {share} byte by byte, the specification's makes {fit.plain}")
+            if fit.mistake:
+                lines.append(f"  fitted with the mistake that most of the rest shows: the program {fit.mistake}")
+            if fit.alike:
+                others = "; or ".join(", ".join(other.says) for other in fit.alike[:MOST_ALIKE])
+                more = len(fit.alike) - MOST_ALIKE
+                lines.append(f"  as many are made by: {others}" + (f", and {more} more" if more > 0 else ""))
+            if fit.wraps:
+                lines.append("  colors above 1 are not clamped: they begin again at 0")
+        for entry in self.left:
+            if not entry.off:
+                lines.append(f"{entry.label}: nothing is left, all {entry.pixels} pixels are explained")
+                continue
+            levels = f"{entry.by_one} off by 1 level, {entry.by_more} by more"
+            places = f"{entry.edge} at edges, {entry.interior} in the interior"
+            lines.append(f"{entry.label}: {entry.off} of {entry.pixels} pixels are left: {levels}; {places}")
+        return lines
+
     def record(self) -> Record:
         """Everything as strictly valid JSON: that of the comparison, `fit` and `left` before it."""
         fit = self.fit
@@ -412,7 +442,9 @@ def check(
         progress=progress,
     )
     result.failures[:0] = failures
-    return Checked(found, left, result)
+    checked = Checked(found, left, result)
+    result.about = checked.about()
+    return checked
 
 
 def read_picture(path: Path, label: str, scene: Scene) -> Picture:

@@ -217,7 +217,7 @@ def mistakes(scene: Scene, settings: Settings) -> Iterator[Rule]:
         for bounces in range(6):
             if bounces != settings.max_reflections:
                 yield Rule(
-                    f"reflects {bounces} times, not {settings.max_reflections}",
+                    f"reflects {bounces} time{'s' * (bounces != 1)}, not {settings.max_reflections}",
                     settings=lambda old, bounces=bounces: replace(old, max_reflections=bounces),  # type: ignore[misc]
                 )
     # The general after the special: without shadows all is lit that a large epsilon lights.

@@ -76,6 +76,8 @@ class Outcome:
     failures: list[Note] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     command: Sequence[str] = ()
+    #: What a reader has to know first, a line each; indented: about the line before.
+    about: Sequence[str] = ()
     #: How many of the failures are faults of a scene or a size, not of a renderer.
     wrong_input: int = 0
 
@@ -305,10 +307,11 @@ def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str
     return scenes
 
 
-def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int, renderers: Iterable[str]) -> str:
-    """What to type to have a pixel of the scene, as it was drawn, explained."""
+def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int, names: Iterable[str]) -> str:
+    """What to type to have a pixel of the scene, as it was drawn, explained; `names`: of renderers, or of images."""
     where = "-" if label == "<stdin>" else label
-    words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(renderers)]
+    known = [name for name in names if name in renderers.registry().renderers or name.startswith("cmd:")]
+    words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(known)]
     if not _is_file(label, scene):
         words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
     for name in ("sample", "shadow_epsilon", "max_reflections"):

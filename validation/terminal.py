@@ -31,9 +31,6 @@ MIN_ROOM = 16
 #: Kinds of verdicts of one scene and pair that are printed, the worst first.
 MOST_GROUPS = 12
 
-#: Conventions that explain an image equally well and are named.
-MOST_ALIKE = 3
-
 #: How the reason begins that Judge.edge_cap gives.
 TOO_MANY = "too many edge pixels"
 
@@ -424,29 +421,8 @@ def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> N
 
 def print_check(result: Checked) -> None:
     """The convention of images, what it explains, what is left, and why."""
-    fit = result.fit
-    if fit is not None:
-        share = f"{fit.explained} of {fit.pixels} pixels"
-        click.echo(f"convention: {'; '.join(fit.convention.says)}")
-        if fit.convention.specified:
-            click.echo(f"  that of the specification; it makes {share} byte by byte")
-        else:
-            click.echo(f"  it makes {share} byte by byte, the specification's makes {fit.plain}")
-        if fit.mistake:
-            click.echo(f"  fitted with the mistake that most of the rest shows: the program {fit.mistake}")
-        if fit.alike:
-            others = "; or ".join(", ".join(other.says) for other in fit.alike[:MOST_ALIKE])
-            more = len(fit.alike) - MOST_ALIKE
-            click.echo(f"  as many are made by: {others}" + (f", and {more} more" if more > 0 else ""))
-        if fit.wraps:
-            click.secho("  colors above 1 are not clamped: they begin again at 0", fg="red", color=colorful())
-    for entry in result.left:
-        if not entry.off:
-            click.echo(f"{entry.label}: nothing is left, all {entry.pixels} pixels are explained")
-            continue
-        levels = f"{entry.by_one} off by 1 level, {entry.by_more} by more"
-        places = f"{entry.edge} at edges, {entry.interior} in the interior"
-        click.echo(f"{entry.label}: {entry.off} of {entry.pixels} pixels are left: {levels}; {places}")
+    for line in result.about():
+        click.echo(line)
     causes: Counter[str] = Counter()
     for verdicts in result.validation.verdicts:
         causes.update(verdict.renderer.because for verdict in verdicts.verdicts if verdict.renderer.cause == "mistake")
@@ -459,5 +435,5 @@ def print_check(result: Checked) -> None:
     print_notes(result.validation)
     print_failures(result.validation)
     if result.validation.comparisons:
-        right = "right" if fit is None or fit.convention.specified else "right but for its convention"
+        right = "right" if result.fit is None or result.fit.convention.specified else "right but for its convention"
         click.echo(right if result.status == 0 else "not right")
