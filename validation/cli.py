@@ -141,6 +141,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except OSError:
         # Python must not complain about it again when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    waiting = any(not thread.daemon and thread is not threading.main_thread() for thread in threading.enumerate())
+    if status in (INTERRUPTED, TERMINATED) and waiting:
+        # A thread of a pool that was broken up may never end: see validation.truth.prove. All else is closed by now.
+        sys.stderr.flush()
+        os._exit(status)
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -36,6 +36,8 @@ BITS = 128
 EXACT_FROM = 4096
 #: No pixel gets more bits than this.
 MOST_BITS = 1 << 16
+#: Seconds that the end of a pool may take; without trouble it takes none.
+PATIENCE = 10
 #: The largest radius of a ball that is returned, relative above 1.
 RADIUS = 1e-30
 #: The smallest float64.
@@ -601,7 +603,10 @@ def prove(
         pool._result_queue._writer.close()  # type: ignore[attr-defined]
         raise
     finally:
-        pool.shutdown(cancel_futures=True)
+        # What reads the results of a pool that was broken up has been seen to wait for ever: it is not waited for.
+        ending = threading.Thread(target=pool.shutdown, kwargs={"cancel_futures": True}, daemon=True)
+        ending.start()
+        ending.join(PATIENCE)
 
 
 @contextmanager

@@ -440,7 +440,7 @@ while not Path({str(tmp_path / "pid")!r}).exists():
 
     def test_memory_without_a_word(self, scene: Scene, tmp_path: Path) -> None:
         # A new process counts the memory of the one that started it: so that one has to be small.
-        (tmp_path / "hog.py").write_text("hog = bytearray(b'x') * (400 << 20)\nimport os\nos.abort()\n")
+        (tmp_path / "hog.py").write_text("hog = bytearray(b'x') * (520 << 20)\nimport os\nos.abort()\n")
         (tmp_path / "scene.txt").write_text(scene.text())
         code = f"""
 import tracer
