@@ -46,6 +46,17 @@ FIRST = 16
 #: Conventions that explain an image equally well and are named.
 MOST_ALIKE = 3
 
+#: What files are found to be made of, by how to undo it: faults of writing, which make every pixel wrong.
+LAYOUTS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    "red and blue are swapped": lambda levels: levels[:, :, ::-1],
+    "the first column of the file is the rightmost": lambda levels: levels[:, ::-1],
+    "rows and columns are swapped": lambda levels: levels.transpose(1, 0, 2),
+    "the image is one pixel too far to the right": lambda levels: np.roll(levels, -1, axis=1),
+    "the image is one pixel too far to the left": lambda levels: np.roll(levels, 1, axis=1),
+    "the image is one pixel too low": lambda levels: np.roll(levels, -1, axis=0),
+    "the image is one pixel too high": lambda levels: np.roll(levels, 1, axis=0),
+}
+
 #: Where each sample point lies, in words.
 PLACES: dict[Sample, str] = {
     "corner": "the top-left corner of the pixels",
@@ -68,19 +79,24 @@ class Picture:
 
 @dataclass(frozen=True)
 class Convention:
-    """How an image was made: `sample` as in the settings, `flipped` if the first row of the file is the lowest."""
+    """How an image was made: `sample` as in the settings, `flipped` if the first row of the file is the lowest.
+
+    `fault`: what is wrong with the layout of its pixels, a key of LAYOUTS, or "".
+    """
 
     sample: Sample = "corner"
     flipped: bool = False
     quantisation: str = "truncate"
+    fault: str = ""
 
     def encoding(self, steps: int = 255) -> Encoding:
         """How its levels stand for colours."""
         return Encoding(self.quantisation, steps)
 
     def upright(self, levels: NDArray[Any]) -> NDArray[Any]:
-        """An image with its first row on top."""
-        return levels[::-1] if self.flipped else levels
+        """An image with its first row on top, and without the fault."""
+        levels = levels[::-1] if self.flipped else levels
+        return LAYOUTS[self.fault](levels) if self.fault else levels
 
     @property
     def specified(self) -> bool:
@@ -120,8 +136,12 @@ class Fit:
 class _Candidate:
     convention: Convention
     wraps: bool
-    explained: int = 0
     places: list[NDArray[np.bool_]] = field(default_factory=list)  # by picture, where
+
+    @property
+    def explained(self) -> int:
+        """How many pixels of all pictures."""
+        return sum(int(same.sum()) for same in self.places)
 
 
 def fit(pictures: Sequence[Picture], settings: Settings) -> Fit:
@@ -130,45 +150,78 @@ def fit(pictures: Sequence[Picture], settings: Settings) -> Fit:
     `settings.sample` plays no part.
     """
     chosen = [_chosen(picture) for picture in pictures]
-    found = {
-        (convention, wraps): _Candidate(convention, wraps) for wraps in (False, True) for convention in conventions()
+    colors = {
+        sample: [
+            _draw(picture.scene, replace(settings, sample=sample)).reshape(-1, 3)[places]
+            for picture, places in zip(pictures, chosen, strict=True)
+        ]
+        for sample in SAMPLES
     }
-    for sample in SAMPLES:
-        for picture, places in zip(pictures, chosen, strict=True):
-            colors = _draw(picture.scene, replace(settings, sample=sample)).reshape(-1, 3)[places]
-            above = bool((colors > 1).any())
-            rows = [picture.levels[::step].reshape(-1, 3)[places] for step in (1, -1)]
-            for quantisation, flipped in itertools.product(QUANTISATIONS, (False, True)):
-                for wraps in (False, True):
-                    if above or not wraps:
-                        same = (Encoding(quantisation, picture.steps, wraps).encode(colors) == rows[flipped]).all(
-                            axis=-1
-                        )
-                    candidate = found[Convention(sample, flipped, quantisation), wraps]
-                    candidate.explained += int(same.sum())
-                    candidate.places.append(same)
+    plain = _tally(pictures, chosen, colors, "")
     pixels = sum(map(len, chosen))
-    candidates = list(found.values())
-    best = max(candidates, key=lambda candidate: candidate.explained)
-    alike = [
-        candidate.convention
-        for candidate in candidates
-        if candidate.explained == best.explained and not candidate.wraps and candidate is not best
+    best = max(plain, key=lambda candidate: candidate.explained)
+    left = pixels - best.explained
+    specified = next(candidate.explained for candidate in plain if candidate.convention.specified)
+    if left <= TELLING * pixels:
+        alike = [
+            candidate.convention
+            for candidate in plain
+            if candidate.explained == best.explained and not candidate.wraps and candidate is not best
+        ]
+        return Fit(best.convention, pixels, best.explained, specified, tuple(alike), best.wraps)
+    # A fault of the layout has to explain most of what is left, as other pixels are the same by chance.
+    square = all(picture.levels.shape[0] == picture.levels.shape[1] for picture in pictures)
+    faulty = [
+        max(_tally(pictures, chosen, colors, fault), key=lambda candidate: candidate.explained)
+        for fault in LAYOUTS
+        if square or fault != "rows and columns are swapped"
     ]
-    plain = found[SPECIFIED, False].explained
-    if pixels - best.explained > TELLING * pixels:
-        told = _mistaken(pictures, chosen, best, settings)
-        if told is not None:
-            (convention, *others), mistake = told
-            explained = found[convention, best.wraps].explained
-            return Fit(convention, pixels, explained, plain, tuple(others), best.wraps, mistake)
-    return Fit(best.convention, pixels, best.explained, plain, tuple(alike), best.wraps)
+    faulty = [candidate for candidate in faulty if candidate.explained - best.explained > left / 2]
+    if faulty:
+        best = max(faulty, key=lambda candidate: candidate.explained)
+        if pixels - best.explained <= TELLING * pixels:
+            return Fit(best.convention, pixels, best.explained, specified, (), best.wraps)
+    told = _mistaken(pictures, chosen, best, settings)
+    if told is None:
+        return Fit(best.convention, pixels, best.explained, specified, (), best.wraps)
+    (convention, *others), mistake = told
+    tally = _tally(pictures, chosen, colors, convention.fault)
+    explained = next(entry.explained for entry in tally if (entry.convention, entry.wraps) == (convention, best.wraps))
+    return Fit(convention, pixels, explained, specified, tuple(others), best.wraps, mistake)
 
 
-def conventions() -> Iterator[Convention]:
+def _tally(
+    pictures: Sequence[Picture],
+    chosen: Sequence[NDArray[np.int64]],
+    colors: Mapping[Sample, Sequence[Colors]],
+    fault: str,
+) -> list[_Candidate]:
+    """Which of the chosen pixels every convention makes, the likeliest convention first, those that wrap last."""
+    found = {
+        (convention, wraps): _Candidate(convention, wraps)
+        for wraps in (False, True)
+        for convention in conventions(fault)
+    }
+    for k, (picture, places) in enumerate(zip(pictures, chosen, strict=True)):
+        levels = [
+            Convention(flipped=flipped, fault=fault).upright(picture.levels).reshape(-1, 3)[places]
+            for flipped in (False, True)
+        ]
+        for sample, quantisation in itertools.product(SAMPLES, QUANTISATIONS):
+            drawn = colors[sample][k]
+            for wraps in (False, True):
+                if not wraps or (drawn > 1).any():
+                    expected = Encoding(quantisation, picture.steps, wraps).encode(drawn)
+                for flipped in (False, True):
+                    candidate = found[Convention(sample, flipped, quantisation, fault), wraps]
+                    candidate.places.append((expected == levels[flipped]).all(axis=-1))
+    return list(found.values())
+
+
+def conventions(fault: str = "") -> Iterator[Convention]:
     """All of them, the likeliest first."""
     for flipped, sample, quantisation in itertools.product((False, True), SAMPLES, QUANTISATIONS):
-        yield Convention(sample, flipped, quantisation)
+        yield Convention(sample, flipped, quantisation, fault)
 
 
 def _draw(scene: Scene, settings: Settings) -> NDArray[np.float64]:
@@ -240,7 +293,8 @@ def _mistaken(
         for sample in SAMPLES:
             made = colors(Prover(picture.scene, replace(told, sample=sample), follower=rule.follower), asked)
             for quantisation in QUANTISATIONS:
-                found[Convention(sample, best.convention.flipped, quantisation)] = same(made, asked, quantisation)
+                convention = replace(best.convention, sample=sample, quantisation=quantisation)
+                found[convention] = same(made, asked, quantisation)
         if (count := max(found.values())) > most:
             most, result = count, ([entry for entry in found if found[entry] == count], rule.says)
     return result
@@ -340,8 +394,9 @@ class Checked:
 
     @property
     def status(self) -> int:
-        """The exit status: as of the comparison; a convention of its own is no fault."""
-        return self.validation.status
+        """The exit status: as of the comparison; a convention of its own is no fault, a layout is."""
+        wrong = self.fit is not None and bool(self.fit.convention.fault)
+        return self.validation.status or int(wrong)
 
     def about(self) -> list[str]:
         """The convention, what it explains, and what is left, a line each; indented: about the line before."""
@@ -349,6 +404,8 @@ class Checked:
         if fit := self.fit:
             share = f"{fit.explained} of {fit.pixels} pixels"
             lines.append(f"convention: {'; '.join(fit.convention.says)}")
+            if fit.convention.fault:
+                lines.append(f"wrong: {fit.convention.fault}; it is compared as if that were right")
             if fit.convention.specified:
                 lines.append(f"  that of the specification; it makes {share} byte by byte")
             else:
@@ -379,6 +436,7 @@ class Checked:
                 "sample": fit.convention.sample,
                 "flipped": fit.convention.flipped,
                 "quantisation": fit.convention.quantisation,
+                "fault": fit.convention.fault or None,
                 "says": list(fit.convention.says),
                 "pixels": fit.pixels,
                 "explained": fit.explained,

@@ -22,7 +22,7 @@ from PIL import Image
 import tracer
 from tracer.passes import SAMPLES, Sample
 from validation import Settings
-from validation.check import Convention, Picture, check, fit
+from validation.check import LAYOUTS, Convention, Picture, check, fit
 from validation.encoding import QUANTISATIONS, Encoding
 from validation.run import resized
 
@@ -98,6 +98,29 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     found = fit([picture(empty, Convention())], Settings())
     assert found.convention == Convention()
     assert len(found.alike) == len(CONVENTIONS) - 1
+
+
+@pytest.mark.parametrize("fault", LAYOUTS)
+def test_a_fault_of_the_layout_is_told(fault: str) -> None:
+    """The image is wrong, but what is in it is compared as if it were right."""
+    scene = full().replace(view=full().view.replace(columns=48, rows=48))
+    right = picture(scene, Convention("center", False, "round"))
+    undone = {
+        "red and blue are swapped": lambda levels: levels[:, :, ::-1],
+        "the first column of the file is the rightmost": np.fliplr,
+        "rows and columns are swapped": lambda levels: levels.transpose(1, 0, 2),
+        "the image is one pixel too far to the right": lambda levels: np.roll(levels, 1, axis=1),
+        "the image is one pixel too far to the left": lambda levels: np.roll(levels, -1, axis=1),
+        "the image is one pixel too low": lambda levels: np.roll(levels, 1, axis=0),
+        "the image is one pixel too high": lambda levels: np.roll(levels, -1, axis=0),
+    }[fault]
+    result = check([dataclasses.replace(right, levels=undone(right.levels))])
+    assert result.fit is not None
+    assert result.fit.convention == Convention("center", False, "round", fault)
+    assert result.fit.explained == result.fit.pixels
+    assert [entry.off for entry in result.left] == [0]
+    assert result.status == 1
+    assert f"wrong: {fault}; it is compared as if that were right" in result.about()
 
 
 class Defect(NamedTuple):
