@@ -12,6 +12,8 @@ What becomes of a scene:
   `stratified` sampler without jitter takes exactly the pixel centre.
 - The integrator is stock: `direct` without BSDF samples, or `path` where something mirrors and `max_reflections` is not
   0. Both pick one light at random for a sample: with one light the image has no noise.
+- Stock plugins alone say what mirrors show where a sphere either mirrors or reflects light, and nothing shines:
+  `chain_dict`. Mirrors are `conductor`s then.
 - The background is a stock `constant` that lights nothing. It is left out where something mirrors: there reflected rays
   would see it too.
 - The ambient term lights nothing and is hidden by nothing: Mitsuba has no such light. Every sphere that has it carries
@@ -26,7 +28,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from converters.mitsuba_plugins import AMBIENT, EVERYWHERE, FRUSTUM, LIGHT_SCALE, PHONG, POINT, variant
 from tracer.passes import OFFSETS
@@ -38,6 +40,13 @@ if TYPE_CHECKING:
 #: AOV names are short and stable, for scripts that read the image file.
 STOCK_AOVS = "albedo:albedo,position:position,normal:sh_normal,shape:shape_index"
 
+
+#: What the surfaces are that a chain of mirrors ends on: lit by one light, as they are; or shining, with the ambient
+#: term for an ambient light of 1, with their index, or with the place of each point.
+Show = Literal["light", "ambient", "index", "place"]
+#: A sphere's index as a color, which holds it exactly; and what a mirror leaves of its channels, exact as well.
+CODE = 2.0**-20
+COUNTING = (1.0, 0.5, 1.0)
 
 #: How a file with our plugins becomes an image, as typed into Python.
 RECIPE = (
@@ -104,6 +113,21 @@ def _mirrors(scene: Scene, max_reflections: int) -> bool:
 def _stock_bsdfs(scene: Scene, max_reflections: int) -> bool:
     """Whether `diffuse` will do: a `path` integrator would also carry light from one `diffuse` to the next."""
     return not _mirrors(scene, max_reflections) and not any(scene.spheres[i].ks for i in scene.distinct)
+
+
+def stock_mirrors(scene: Scene) -> bool:
+    """Whether stock plugins can say what the mirrors show, with `chain_dict`.
+
+    Nothing that reflects light mirrors, so a chain of mirrors ends on the first sphere that does: there is no other way
+    for light than the chain, and one light at its end. What ends chains has to shine, which no instance can.
+    """
+    for index in scene.distinct:
+        sphere = scene.spheres[index]
+        plain = sphere.ka == sphere.kd == 0 or _black(sphere.color)
+        uniform = len({abs(value) for value in sphere.scaling}) == 1
+        if (sphere.ks and scene.lights) or not (plain if sphere.kr else uniform):
+            return False
+    return True
 
 
 def _bsdf(sphere: Sphere, stock: bool, needs_light: bool, max_reflections: int) -> dict[str, Any]:
@@ -298,6 +322,58 @@ def ambient_dict(scene: Scene, *, sample: Sample = "corner", max_reflections: in
     light = {"type": EVERYWHERE, "intensity": _rgb(scene.ambient, LIGHT_SCALE)}
     integrator = {"type": "path", "max_depth": max_reflections + 2, "rr_depth": max_reflections + 3}
     return {"type": "scene", "integrator": integrator, "sensor": described["sensor"], **shapes, "light": light}
+
+
+def chain_dict(scene: Scene, show: Show, *, sample: Sample = "corner", inside: bool = False) -> dict[str, Any]:
+    """The scene by stock plugins, mirrors included, if `stock_mirrors`; for `path`, with a variant set.
+
+    The light of "light" is the scene's first; it falls off. `inside`: what shines does so to its inside. With "index"
+    mirrors reflect COUNTING, with "place" all, else Kr. A place is a point from the centre over twice the radius, +1/2.
+    The largest depth is up to the caller: with k + 2 for "light" a pixel is right whose chain has k mirrors.
+    """
+    shapes: dict[str, Any] = {}
+    for name, shape in geometry(scene).items():
+        index = int(name.partition("_")[2])
+        sphere, bsdf = scene.spheres[index], _conductor((0, 0, 0))
+        emitter: dict[str, Any] = {}
+        if sphere.kr:
+            bsdf = _conductor({"index": COUNTING, "place": (1, 1, 1)}.get(show, (sphere.kr,) * 3))
+        elif show == "light":
+            bsdf = _bsdf(sphere, stock=True, needs_light=True, max_reflections=0)
+        else:
+            if show == "place":
+                radiance = _place(sphere)
+            elif show == "ambient":
+                radiance = _rgb(sphere.color, sphere.ka)
+            else:
+                radiance = _rgb((1, 1, 1), (index + 1) * CODE)
+            emitter = {"flip_normals": inside, "emitter": {"type": "area", "radiance": radiance}}
+        if "surface" in shape:
+            shapes[name] = shape | {"surface": shape["surface"] | {"bsdf": bsdf}}
+        else:
+            shapes[name] = shape | ({} if shape["type"] == "instance" else {"bsdf": bsdf} | emitter)
+    if show == "light":
+        source = scene.lights[0]
+        shapes["light"] = {"type": "point", "position": list(source.position), "intensity": _rgb(source.intensity)}
+    return {"type": "scene", "integrator": {"type": "path"}, "sensor": _sensor(scene, sample), **shapes}
+
+
+def _conductor(reflectance: Sequence[float]) -> dict[str, Any]:
+    """A mirror on both sides. Where it reflects nothing, it ends a chain, and asks for no light."""
+    mirror = {"type": "conductor", "material": "none", "specular_reflectance": _rgb(reflectance)}
+    return {"type": "twosided", "surface": mirror}
+
+
+def _place(sphere: Sphere) -> dict[str, Any]:
+    """A texture that is linear in the place: 0 to 1 across the sphere, between the centres of 2 x 2 x 2 cells."""
+    import mitsuba as mi
+    import numpy as np
+
+    ends = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3, indexing="ij")[::-1], axis=-1).astype(np.float32)
+    radius = abs(sphere.scaling[0])
+    corner = [value - 2 * radius for value in sphere.position]
+    grid = {"type": "gridvolume", "grid": mi.VolumeGrid(ends), "raw": True, "accel": False, "wrap_mode": "clamp"}
+    return {"type": "volume", "volume": grid | {"to_world": _placed(corner, [4 * radius] * 3)}}
 
 
 def write_xml(

@@ -93,7 +93,7 @@ def test_every_command_prints_what_is_shown(workplace: Path) -> None:
             text=True,
             check=False,
         )
-        # Only the examples of mistakes fail, and that of a scene file shows what it says on stderr. Elsewhere Mitsuba may
+        # Only the examples of mistakes fail, and that of a scene file shows its errors on stderr. Elsewhere Mitsuba may
         # say there that it misses LLVM.
         status = done.returncode
         expected = 2 if "SPHRE" in command else 1 if "\nnot right\n" in shown else 0

@@ -20,6 +20,7 @@ from tracer.passes import quantise
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 GALLERY = sorted((SCENES / "gallery").glob("*.txt"))
 SPEC = sorted((SCENES / "spec").glob("*.txt"))
+HARD = sorted((SCENES / "hard").glob("*.txt"))
 
 Check = Callable[[Scene], None]
 CLAUSES: dict[str, Check] = {}
@@ -77,7 +78,7 @@ def raw(name: str) -> bytes:
 # All scenes
 
 
-@pytest.mark.parametrize("path", GALLERY + SPEC, ids=lambda path: f"{path.parent.name}/{path.stem}")
+@pytest.mark.parametrize("path", GALLERY + SPEC + HARD, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_loads_and_round_trips(path: Path) -> None:
     scene = load(path)
     assert scene.output == f"{path.stem}.ppm"
@@ -90,7 +91,7 @@ def test_loads_and_round_trips(path: Path) -> None:
     assert again.text() == scene.text()
 
 
-@pytest.mark.parametrize("path", GALLERY + SPEC, ids=lambda path: f"{path.parent.name}/{path.stem}")
+@pytest.mark.parametrize("path", GALLERY + SPEC + HARD, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_keeps_to_the_limits_and_shows_something(path: Path) -> None:
     scene = load(path)
     assert len(scene.spheres) <= 5
@@ -102,7 +103,7 @@ def test_keeps_to_the_limits_and_shows_something(path: Path) -> None:
 
 def test_the_readme_lists_every_scene_once() -> None:
     text = (SCENES / "README.md").read_text(encoding="utf-8")
-    for folder, paths in (("gallery", GALLERY), ("spec", SPEC)):
+    for folder, paths in (("gallery", GALLERY), ("spec", SPEC), ("hard", HARD)):
         listed = re.findall(rf"\(({folder}/[a-z0-9-]+\.txt)\)", text)
         assert sorted(listed) == [f"{folder}/{path.name}" for path in paths]
 
@@ -550,6 +551,32 @@ def _(scene: Scene) -> None:
     assert np.count_nonzero(empty) > 10000
     dark = scene.replace(background=(0, 0, 0))
     assert changed(draw(scene)[mirror], draw(dark)[mirror]) == 0
+
+
+@clause("pure-mirror")
+def _(scene: Scene) -> None:
+    id = draw(scene, "id")
+    mirrors = [i for i, sphere in enumerate(scene.spheres) if sphere.kr]
+    assert any(len(set(scene.spheres[i].scaling)) > 1 for i in mirrors)
+    pure = np.isin(id, mirrors)
+    assert np.count_nonzero(pure) > 10000
+    for name in ("ambient", "diffuse", "specular"):
+        assert not draw(scene, name)[pure].any()
+    assert np.array_equal(draw(scene)[pure], draw(scene, "reflection")[pure])
+    for i in mirrors:
+        assert changed(draw(scene), draw(with_sphere(scene, i, color=(1, 0, 0)))) == 0
+    assert np.count_nonzero(draw(scene, "reflection.2").any(axis=-1)) > 1000
+    # Shadows of both lights show in the mirrors: hardly anything hides a light from so near to it.
+    shadowless = draw(scene, "reflection", shadow_epsilon=1 - 2.0**-30)
+    for light in (0, 1):
+        lit = with_light(scene, light, intensity=(0, 0, 0))
+        assert (
+            changed(
+                draw(scene, "reflection") - draw(lit, "reflection"),
+                shadowless - draw(lit, "reflection", shadow_epsilon=1 - 2.0**-30),
+            )
+            > 1000
+        )
 
 
 @pytest.mark.parametrize("name", sorted(CLAUSES))

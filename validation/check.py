@@ -24,14 +24,28 @@ from validation import images
 from validation.compare import Record
 from validation.encoding import QUANTISATIONS, Encoding
 from validation.renderers import Settings, Uncertainty, floats
-from validation.renderers.command import PREFIX, Command
-from validation.run import MOST_VERDICTS, InputError, Note, Rendered, RendererError, Validation, draw, validate
+from validation.renderers.command import PREFIX, Command, Limits
+from validation.run import (
+    ANALYSIS_MAX_PIXELS,
+    MOST_VERDICTS,
+    InputError,
+    Note,
+    Rendered,
+    RendererError,
+    Validation,
+    draw,
+    shrink,
+    validate,
+)
 
 Colors: TypeAlias = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
+    from validation.follow import Follower
+
+    _Counts: TypeAlias = dict["Convention", int]
 
 #: What an image is held against: it draws every scene, exactly enough for any number of levels.
 REFERENCE = "native-f64"
@@ -40,6 +54,8 @@ REFERENCE = "native-f64"
 MOST = 400_000
 #: More than this share of pixels left over, and mistakes are tried; at so many of them, and at as many contours.
 TELLING, ASKED = 1e-3, 200
+#: The least share of pixels that a convention explains which is taken for the one.
+KNOWN = 0.05
 #: Of those a mistake that makes less than half of the first few is none.
 FIRST = 16
 
@@ -106,8 +122,12 @@ class Convention:
     @property
     def says(self) -> tuple[str, ...]:
         """In words: sampling, quantisation, and the order of rows where it is not the specification's."""
+        return self.in_words()
+
+    def in_words(self, steps: int = 255) -> tuple[str, ...]:
+        """The same, of so many levels above 0."""
         rows = ("the first row of the file is the lowest",) if self.flipped else ()
-        return (f"samples at {PLACES[self.sample]}", QUANTISATIONS[self.quantisation], *rows)
+        return (f"samples at {PLACES[self.sample]}", self.encoding(steps).says, *rows)
 
 
 #: What the specification asks for.
@@ -120,7 +140,8 @@ class Fit:
 
     `explained`: pixels whose bytes it makes, of `pixels` that were looked at. `plain`: those that the specification's
     makes. `alike`: others that explain as many. `wraps`: colours above 1 were not clamped but begin again at 0.
-    `mistake`: the known mistake with which the bytes make sense, as a clause.
+    `mistake`: the known mistake with which the bytes make sense, as a clause. `known`: False if no convention explains
+    enough to be taken for the one; it is the specification's then.
     """
 
     convention: Convention
@@ -130,6 +151,7 @@ class Fit:
     alike: tuple[Convention, ...] = ()
     wraps: bool = False
     mistake: str = ""
+    known: bool = True
 
 
 @dataclass
@@ -182,6 +204,8 @@ def fit(pictures: Sequence[Picture], settings: Settings) -> Fit:
         if pixels - best.explained <= TELLING * pixels:
             return Fit(best.convention, pixels, best.explained, specified, (), best.wraps)
     told = _mistaken(pictures, chosen, best, settings)
+    if told is None and best.explained < KNOWN * pixels:
+        return Fit(SPECIFIED, pixels, specified, specified, known=False)
     if told is None:
         return Fit(best.convention, pixels, best.explained, specified, (), best.wraps)
     (convention, *others), mistake = told
@@ -252,6 +276,7 @@ def _mistaken(
     Of the picture of which the most is left: some of these pixels tell the mistake and the quantisation, and some
     at contours of the image the sampling.
     """
+    from validation.follow import Follower
     from validation.rules import mistakes
     from validation.truth import NOWHERE, Prover
 
@@ -260,7 +285,12 @@ def _mistaken(
     picture = pictures[worst]
     columns, steps, wraps = picture.levels.shape[1], picture.steps, best.wraps
     upright = best.convention.upright(picture.levels)
-    levels = upright.reshape(-1, 3)
+    levels = {best.convention.flipped: upright.reshape(-1, 3)}
+    samples: Sequence[Sample] = (best.convention.sample,)
+    if best.explained < sum(map(len, chosen)) / 2:
+        # Then it tells neither the sampling nor the order of rows.
+        samples = SAMPLES
+        levels[not best.convention.flipped] = upright[::-1].reshape(-1, 3)
     rng = np.random.default_rng(0)
     left = rng.permutation(chosen[worst][missed[worst]])[:ASKED]
     contours = rng.permutation(np.flatnonzero(_contours(upright)))[:ASKED]
@@ -276,25 +306,30 @@ def _mistaken(
                 found[k] = [ball.value for ball in truth.values["beauty"]]
         return found
 
-    def same(made: Colors, places: NDArray[np.int64], quantisation: str) -> int:
+    def same(made: Colors, places: NDArray[np.int64], quantisation: str, flipped: bool) -> int:
         encoding = Encoding(quantisation, steps, wraps)
-        return int(((encoding.encode(made) == levels[places]) & ~np.isnan(made)).all(axis=-1).sum())
+        return int(((encoding.encode(made) == levels[flipped][places]) & ~np.isnan(made)).all(axis=-1).sum())
 
-    most, result = len(asked) / 2, None
+    def counted(told: Settings, follower: type[Follower], places: NDArray[np.int64], some: Sequence[Sample]) -> _Counts:
+        """How many of some pixels each convention makes, of truth that follows a rule."""
+        found = {}
+        for sample in some:
+            made = colors(Prover(picture.scene, replace(told, sample=sample), follower=follower), places)
+            for quantisation, flipped in itertools.product(QUANTISATIONS, levels):
+                convention = replace(best.convention, sample=sample, quantisation=quantisation, flipped=flipped)
+                found[convention] = same(made, places, quantisation, flipped)
+        return found
+
+    # A mistake has to explain more than another convention does without it, by far; most of what is asked at least.
+    without = max(counted(settings, Follower, asked, SAMPLES).values())
+    most, result = max(len(asked) / 2, without + len(asked) / 4), None
     for rule in mistakes(picture.scene, settings):
         told = rule.settings(settings)
-        if told.sample != settings.sample:
+        if told.sample != settings.sample or rule.wraps:
             continue
-        prover = Prover(picture.scene, told, follower=rule.follower)
-        first = colors(prover, left[:FIRST])
-        if max(same(first, left[:FIRST], quantisation) for quantisation in QUANTISATIONS) < len(first) / 2:
+        if max(counted(told, rule.follower, left[:FIRST], samples).values()) < min(FIRST, len(left)) / 2:
             continue
-        found: dict[Convention, int] = {}
-        for sample in SAMPLES:
-            made = colors(Prover(picture.scene, replace(told, sample=sample), follower=rule.follower), asked)
-            for quantisation in QUANTISATIONS:
-                convention = replace(best.convention, sample=sample, quantisation=quantisation)
-                found[convention] = same(made, asked, quantisation)
+        found = counted(told, rule.follower, asked, SAMPLES)
         if (count := max(found.values())) > most:
             most, result = count, ([entry for entry in found if found[entry] == count], rule.says)
     return result
@@ -322,8 +357,9 @@ class Still:
 
     precision = "8-bit"
 
-    def __init__(self, name: str, pictures: Sequence[Picture], convention: Convention) -> None:
-        """`pictures` were made with that convention."""
+    def __init__(self, name: str, pictures: Sequence[Picture], convention: Convention, suspected: str = "") -> None:
+        """`pictures` were made with that convention; `suspected`: the mistake that the judge tries first."""
+        self.suspected = suspected
         self.name, self.pictures = name, pictures
         self.convention, self.encoding = convention, Encoding(convention.quantisation)
 
@@ -338,12 +374,16 @@ class Still:
     def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
         """The image, of the scenes that there is one of."""
         del settings
-        return ("beauty",) if any(picture.scene == scene for picture in self.pictures) else ()
+        return ("beauty",) if self._of(scene) else ()
 
     def refusal(self, scene: Scene) -> str:
         """Why there is none."""
         view = scene.view
         return f"it has no image of {view.columns}x{view.rows} pixels"
+
+    def _of(self, scene: Scene) -> Picture | None:
+        # Two of them may have equal scenes.
+        return next((picture for picture in self.pictures if picture.scene is scene), None)
 
     def unavailable(self) -> str | None:
         """They are there."""
@@ -357,7 +397,8 @@ class Still:
     def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
         """The image of that scene, levels over their number."""
         del settings
-        picture = next(picture for picture in self.pictures if picture.scene == scene)
+        picture = self._of(scene)
+        assert picture is not None
         beauty = self.convention.upright(picture.levels) / np.float64(picture.steps)
         return Passes(dict.fromkeys(passes, beauty), {"levels": str(picture.steps)})
 
@@ -391,6 +432,7 @@ class Checked:
     fit: Fit | None  # None: there was no image
     left: Sequence[Left]
     validation: Validation
+    steps: int = 255
 
     @property
     def status(self) -> int:
@@ -403,10 +445,11 @@ class Checked:
         lines = []
         if fit := self.fit:
             share = f"{fit.explained} of {fit.pixels} pixels"
-            lines.append(f"convention: {'; '.join(fit.convention.says)}")
+            said = "; ".join(fit.convention.in_words(self.steps))
+            lines.append(f"convention: {said}" if fit.known else f"no known convention explains the image; as: {said}")
             if fit.convention.fault:
                 lines.append(f"wrong: {fit.convention.fault}; it is compared as if that were right")
-            if fit.convention.specified:
+            if fit.convention.specified and not fit.wraps:
                 lines.append(f"  that of the specification; it makes {share} byte by byte")
             else:
                 lines.append(f"  it makes {share} byte by byte, the specification's makes {fit.plain}")
@@ -417,7 +460,7 @@ class Checked:
                 more = len(fit.alike) - MOST_ALIKE
                 lines.append(f"  as many are made by: {others}" + (f", and {more} more" if more > 0 else ""))
             if fit.wraps:
-                lines.append("  colors above 1 are not clamped: they begin again at 0")
+                lines.append("wrong: colors above 1 are not clamped: they begin again at 0")
         for entry in self.left:
             if not entry.off:
                 lines.append(f"{entry.label}: nothing is left, all {entry.pixels} pixels are explained")
@@ -444,6 +487,7 @@ class Checked:
                 "alike": [list(convention.says) for convention in fit.alike],
                 "wraps": fit.wraps,
                 "mistake": fit.mistake or None,
+                "known": fit.known,
             },
             "left": [vars(entry).copy() for entry in self.left],
             **self.validation.record(),
@@ -470,15 +514,25 @@ def check(
         verdicts: of each image so many differing pixels are judged at most.
         on_rendered: called with every image that was compared.
         progress: called with what is being done.
+
+    Raises:
+        InputError: an image that is too large.
     """
     settings = settings or Settings()
     if not pictures:
         nothing = Validation(settings=settings, failures=list(failures))
         return Checked(None, (), nothing)
+    for picture in pictures:
+        view = picture.scene.view
+        if shrink(view.columns, view.rows, ANALYSIS_MAX_PIXELS) != (view.columns, view.rows):
+            raise InputError(
+                f"{picture.label}: error: an image of {view.columns}x{view.rows} pixels takes too long to be checked\n"
+                f"  hint: draw the scene with at most {ANALYSIS_MAX_PIXELS} pixels"
+            )
     if progress:
         progress("fitting sampling and quantisation")
     found = fit(pictures, settings)
-    still = Still(name, pictures, found.convention)
+    still = Still(name, pictures, found.convention, found.mistake)
     left: list[Left] = []
 
     def rendered(entry: Rendered) -> None:
@@ -500,7 +554,7 @@ def check(
         progress=progress,
     )
     result.failures[:0] = failures
-    checked = Checked(found, left, result)
+    checked = Checked(found, left, result, pictures[0].steps)
     result.about = checked.about()
     return checked
 
@@ -526,14 +580,15 @@ def draw_pictures(
     template: str,
     settings: Settings,
     *,
+    limits: Limits | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[list[Picture], list[Note]]:
-    """What a program draws of every scene, and what it failed at.
+    """What a program draws of every scene within those limits, and what it failed at.
 
     Raises:
         TemplateError: that is no command.
     """
-    program = Command(f"{PREFIX}{template}")
+    program = Command(f"{PREFIX}{template}", limits)
     pictures, failures = [], []
     for label, scene in scenes.items():
         if progress:

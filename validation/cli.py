@@ -114,13 +114,14 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         complain("error: standard output is closed", "send it to a file or to /dev/null")
         sys.exit(WRONG)
     try:
-        status = whitted.main(args=arguments, prog_name="whitted", standalone_mode=False)
-        sys.stdout.flush()
+        with _ending():
+            status = whitted.main(args=arguments, prog_name="whitted", standalone_mode=False)
+            sys.stdout.flush()
     except CommandError as error:
         status = error.status
         text = error.message
         # Diagnostics of scene files say `error:` after the place.
-        complain(text if ": error: " in text else f"error: {text}", error.hint)
+        complain(text if ": error: " in text.partition("\n")[0] else f"error: {text}", error.hint)
     except NoArgsIsHelpError as error:
         status = WRONG
         click.echo(error.format_message(), err=True)
@@ -416,6 +417,8 @@ def validate(
                 for name in names
             ]
             renderer, against = tuple(named or (entry.name for entry in renderers.best())), ()
+            if len(renderer) == 1:
+                raise CommandError(f"--all-pairs: {renderer[0]} alone makes no pair", "--renderer A,B names two")
         for name in (*renderer, *against):
             renderers.get(name)
         _check_pairs(renderer, against)
@@ -476,7 +479,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _ending() -> Iterator[None]:
-    """SIGTERM ends what is done here as Ctrl-C does: other processes first, and nothing is left behind."""
+    """SIGTERM and SIGHUP end what is done here as Ctrl-C does: other processes first, and nothing is left behind."""
 
     def end(*_: object) -> None:
         _terminated.set()
@@ -484,15 +487,18 @@ def _ending() -> Iterator[None]:
         # Put off like Ctrl-C where that is: so it goes to this thread.
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    before = signal.getsignal(signal.SIGTERM)
-    if before == signal.SIG_IGN:  # as a script may have it
-        yield
-        return
-    signal.signal(signal.SIGTERM, end)
+    ends = (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,)
+    before = {number: signal.getsignal(number) for number in ends}
+    if threading.current_thread() is threading.main_thread():
+        for number, handler in before.items():
+            if handler == signal.SIG_DFL:  # a script, or nohup, may have it ignored
+                signal.signal(number, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def _write_text(path: Path, text: str) -> None:
@@ -513,6 +519,23 @@ def _write_text(path: Path, text: str) -> None:
     help="The image (PPM or PNG) of the scene; of several scenes one each, in their order.",
 )
 @click.option("--command", "template", metavar="'CMD {scene}'", help="A program that draws the scenes: see below.")
+@click.option(
+    "--time-limit",
+    type=Whole(1, hint="in seconds"),
+    default=60,
+    show_default=True,
+    metavar="S",
+    help="Seconds that the program may take for a scene.",
+)
+@click.option(
+    "--memory",
+    type=Whole(1, hint="in MiB"),
+    default=4096,
+    show_default=True,
+    metavar="M",
+    help="MiB of memory that the program may take.",
+)
+@click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
 @drawing_options
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
@@ -531,6 +554,9 @@ def check(
     scenes: tuple[Path, ...],
     images: tuple[Path, ...],
     template: str | None,
+    time_limit: int,
+    memory: int,
+    size: tuple[int, int] | None,
     report: Path | None,
     json_file: Path | None,
     verdicts: int,
@@ -552,19 +578,26 @@ def check(
     Exit status: 0 nothing is left, 1 something is, 2 the input or the command is wrong, 3 the program failed.
     """  # noqa: D301 - click wants that character, not a backslash
     from validation.check import Picture, check, draw_pictures, read_picture
-    from validation.run import load_scenes
+    from validation.renderers.command import MEBIBYTE, Limits
+    from validation.run import load_scenes, resized
     from validation.terminal import print_check
 
     command = _command()
     with _errors("checked"):
-        if bool(images) == bool(template):
+        if bool(images) == (template is not None):
             hint = "whitted check SCENE --image FILE, or whitted check SCENE... --command './mine {scene}'"
-            raise CommandError("expected either --image or --command", hint)
+            what = "--image and --command exclude each other" if images else "expected either --image or --command"
+            raise CommandError(what, hint)
         if images and len(images) != len(scenes):
             counts = f"{len(scenes)} scenes" if len(scenes) > 1 else "1 scene"
             raise CommandError(
                 f"expected {len(scenes)} --image for {counts}, found {len(images)}", "one each, in order"
             )
+        if images and len(set(scenes)) < len(scenes):
+            raise CommandError("a scene is named twice", "each scene once, with its image")
+        if images and size:
+            raise CommandError("--size: an image has the size that it has", "--size goes with --command")
+        _check_size(size, no_limits=options["no_limits"])
         # Not folders: images belong to scenes by their order.
         if images and (folder := next((path for path in scenes if path.is_dir()), None)):
             raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
@@ -575,8 +608,11 @@ def check(
         page = _page(ctx, report) if report else None
         with _progress() as progress:
             pictures: list[Picture] = []
-            if template:
-                pictures, failures = draw_pictures(loaded, template, settings, progress=progress)
+            if template is not None:
+                if size:
+                    loaded = {label: resized(scene, size) for label, scene in loaded.items()}
+                limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
+                pictures, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
                 name = template
             else:
                 failures = []
@@ -879,7 +915,7 @@ def truth(
         # On a terminal what is printed beside the progress would go where the progress goes.
         lines: Sequence[str] = ()
         try:
-            with _progress() as progress, _ending():
+            with _progress() as progress:
                 common: dict[str, Any] = {"seed": seed, "jobs": jobs, "progress": progress}
                 if renderer:
                     common |= {"pixels": pixels or PIXELS, "edges": EDGES if edges is None else edges}
@@ -968,10 +1004,8 @@ def _check_memory(scenes: Mapping[str, Scene], pixels: int | None, settings: Set
 @click.option(
     "--jobs",
     type=Whole(1, 1024),
-    default=1,
-    show_default=True,
     metavar="N",
-    help="Processes that draw; renderers use several cores by themselves.",
+    help="Processes that draw; default: one a core, but no more than 8.",
 )
 @click.option(
     "-o",
@@ -992,7 +1026,7 @@ def stability(
     first: int,
     renderer: tuple[str, ...] | None,
     against: str,
-    jobs: int,
+    jobs: int | None,
     output: Path,
     json_file: Path | None,
 ) -> None:
@@ -1022,14 +1056,14 @@ def stability(
             _parent(json_file)
         if output.exists() and not os.access(output, os.W_OK):
             raise CommandError(f"{output}: cannot be written", "name another folder")
-        with _progress() as progress, _ending():
+        with _progress() as progress:
             result = fuzz(
                 scenes,
                 renderer,
                 seed=seed,
                 first=first,
                 reference=against,
-                jobs=jobs,
+                jobs=jobs or min(os.cpu_count() or 1, 8),
                 output=output,
                 progress=progress,
                 command=command,

@@ -155,7 +155,7 @@ class Judge:
         if quantity in ("id", "visibility"):
             return np.zeros(shape)
         units = np.add(self.renderer.unit, self.reference.unit)
-        absolute = np.add(self.renderer.absolute.get(quantity, 0.0), self.reference.absolute.get(quantity, 0.0))
+        absolute = np.add(self.renderer.absolute_of(name), self.reference.absolute_of(name))
         if quantity == "normal":
             # The sensitivity is about the angle; the length is off by four roundings, which one unit of each covers.
             absolute = absolute + units

@@ -154,6 +154,7 @@ class Court:
             truth.UnprovedError: no precision is enough.
         """
         if (x, y) not in self._truths:
+            self.allowance.restore()
             self._truths[x, y] = self.prover.pixel(x, y)
         return self._truths[x, y]
 
@@ -178,11 +179,11 @@ class Court:
         return self._bounds[key]
 
     def _find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
+        self.allowance.restore()
         pixel = _Pixel(self, truth, side, compared)
         name, errors = side.renderer.name, pixel.errors
         if not errors:
             return Finding(name)
-        self.allowance.restore()
         # A rule is a third party's code.
         with _blaming(side.renderer, self.documented(side.renderer)):
             for possible in self.causes(pixel):
@@ -210,7 +211,8 @@ class Court:
         yield from self.roundings(pixel, self.prover)
         for way in pixel.promising(ways):
             yield from self.roundings(pixel, way.made.prover, f"; {way.because}")
-        for rule in tuple(self._mistakes):
+        suspected = getattr(pixel.side.renderer, "suspected", "")
+        for rule in sorted(self._mistakes, key=lambda rule: rule.says != suspected):
             because = f"truth makes this pixel if it {rule.says}"
             made = [
                 _Possible("mistake", because, pixel.following(rule, prover)) for prover in self.following(rule, x, y)
@@ -354,7 +356,6 @@ class Court:
                         best = min(best, (pixel.score(made), gap, made), key=lambda entry: entry[0])
             _, gap, made = best
             delta, beyond = margin + side * gap, margin + side * pixel.unit
-            made.back = gap
             if gap < pixel.unit:
                 made.beyond = changed(beyond if abs(beyond) <= most else side * most)
             change = f"changing the scene's numbers by {abs(delta):.2g} (relative)"
@@ -414,22 +415,18 @@ class _Possible:
 
 
 class _Made:
-    """A pixel of truth that is changed somehow.
-
-    `back`: the change that would take it back over the decision that flips, `beyond`: the same decision farther off.
-    """
+    """A pixel of truth that is changed somehow; `beyond`: of a decision that flips, the same farther off."""
 
     def __init__(self, prover: Prover, x: int, y: int, encoding: Encoding | None) -> None:
         self.prover, self.x, self.y, self.encoding = prover, x, y, encoding
-        self.back = math.inf
         self.beyond: _Made | None = None
 
     @functools.cached_property
     def gap(self) -> float:
         """The change as far as which slopes bound values.
 
-        Back; or as far as a ray of the chain comes to the outline of its hit, or R.V to 0 where n < 1: there slopes
-        have no bound.
+        As far as a ray of the chain comes to the outline of its hit, or R.V to 0 where n < 1: there slopes have no
+        bound.
         """
         try:
             hits, _ = self.prover.examine(self.x, self.y)
@@ -445,7 +442,7 @@ class _Made:
         }
         decisions = _decisions(self.prover, self.x, self.y)
         steep = [flip.margin for flip in decisions if flip.key[:4] in chain]
-        return min([self.back, *steep]) if decisions else 0.0
+        return min(steep, default=math.inf) if decisions else 0.0
 
     @functools.cached_property
     def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
@@ -519,7 +516,7 @@ class _Pixel:
         quantity = lookup(name).quantity
         if quantity in ("id", "visibility"):
             return 0.0
-        absolute = self.at(self.side.claim.absolute.get(quantity, 0.0))
+        absolute = self.at(self.side.claim.absolute_of(name))
         if quantity == "normal":
             absolute += self.unit
         moves = self.unit * (sensitivity + size) if sensitivity + size else 0.0
@@ -541,7 +538,6 @@ class _Pixel:
         margin = min(float(margins[self.truth.y, self.truth.x]) for margins in self.court.analysis.margins.values())
         if found and margin <= self.unit:
             made = self.made(self.court.prover)
-            made.back = margin
             found = {name: error for name, error in found.items() if not self.agrees(name, self.values[name], made)}
         return found
 

@@ -21,6 +21,8 @@ QUANTISATIONS = {
     "256": "v * 256, truncated, at most 255",
     "srgb": "the sRGB curve of v, times 255, rounded",
     "srgb-truncate": "the sRGB curve of v, times 255, truncated",
+    "gamma": "v to the power of 1/2.2, times 255, rounded",
+    "gamma-truncate": "v to the power of 1/2.2, times 255, truncated",
 }
 
 
@@ -92,9 +94,11 @@ class Encoding:
         return {"255.9": self.steps + 0.9, "256": self.steps + 1.0}.get(self.quantisation, float(self.steps))
 
     def _offset(self) -> float:
-        return 0.5 if self.quantisation in ("round", "srgb") else 0.0
+        return 0.5 if self.quantisation in ("round", "srgb", "gamma") else 0.0
 
     def _curve(self, values: Array) -> Array:
+        if self.quantisation.startswith("gamma"):
+            return np.power(np.maximum(values, 0.0), 1 / 2.2)
         if not self.quantisation.startswith("srgb"):
             return values
         # IEC 61966-2-1, written so that 1 stays 1.
@@ -103,6 +107,8 @@ class Encoding:
             return np.where(values <= 0.0031308, 12.92 * values, 1 - 1.055 * (1 - power))
 
     def _inverse(self, values: Array) -> Array:
+        if self.quantisation.startswith("gamma"):
+            return np.power(np.maximum(values, 0.0), 2.2)
         if not self.quantisation.startswith("srgb"):
             return values
         with np.errstate(invalid="ignore"):

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
 
+    from validation.compare import Comparison
     from validation.court import Finding
     from validation.verdict import Verdict
 
@@ -61,6 +62,8 @@ SCENE_SECONDS, SMALLER_SECONDS = 300.0, 60.0
 TRIED_OF_A_KIND = 2
 #: A process that has grown so large is replaced: Mitsuba keeps what it compiles.
 LARGEST_BYTES = 3 << 30
+#: What differs from scene to scene in a sentence.
+NUMBER = re.compile(r"\d+([.]\d+)?(e[+-]?\d+)?")
 #: Failures of the renderer itself, not of what it drew.
 BROKEN = ("failed", "crashed", "hangs")
 
@@ -178,7 +181,7 @@ def examine(
         )
         for failure in found.failures:
             words = failure.message.splitlines()[0]
-            kind = Kind(failure.renderer, "failed", re.sub(r"\d[\d.e+-]*", "#", words)[:80])
+            kind = Kind(failure.renderer, "failed", NUMBER.sub("...", words)[:80])
             other = _name(reference)
             side = failure.renderer or other
             failures.append(Failure(kind=kind, renderer=side, reference=other, sentence=words, scene=scene))
@@ -219,28 +222,17 @@ def _judged(rendered: Rendered, tally: Callable[[str], Tally]) -> Iterator[Failu
                 continue
             tally(finding.renderer).causes[finding.cause] += 1
             if finding.cause == "rule":
-                tally(finding.renderer).rules[finding.because] += 1
+                tally(finding.renderer).rules[NUMBER.sub("...", finding.because)] += 1
             if not finding.explained:
                 yield _verdict(rendered, verdict, finding)
     for x, y in verdicts.unproved if verdicts else ():
         tally(first.renderer).causes["unproved"] += 1
         sentence = "truth could not be had at any precision"
         yield Failure(kind=Kind(first.renderer, "unproved"), sentence=sentence, at=(x, y), **pair)
+    over = [_over(comparison, at, pair) for comparison in rendered.comparisons if comparison.interior_over]
+    # The same pixels are off in sums of what is off.
+    yield from sorted(filter(None, over), key=lambda failure: _rank(failure.pass_name))[:1]
     for comparison in rendered.comparisons:
-        worst = comparison.worst
-        if comparison.interior_over and worst and all(f.explained for f in _findings(at.get((worst.x, worst.y)))):
-            # Where nothing explains it, there is a verdict that says so.
-            kind = Kind(comparison.renderer, "over tolerance", "", _family(comparison.pass_name))
-            causes = {f"{f.renderer}: {f.because}" for f in _findings(at.get((worst.x, worst.y))) if not f.right}
-            yield Failure(
-                kind=kind,
-                sentence="; ".join((*comparison.reasons, *sorted(causes))),
-                at=(worst.x, worst.y),
-                pass_name=comparison.pass_name,
-                drawn={comparison.renderer: (worst.a,), comparison.reference: (worst.b,)},
-                tolerance=comparison.tolerance,
-                **pair,
-            )
         for reason in comparison.reasons:
             if not (reason.startswith(TOO_MANY) or "interior pixels over tolerance" in reason):
                 side = next((name for name in (first.renderer, first.reference) if reason.startswith(name)), "")
@@ -251,8 +243,32 @@ def _judged(rendered: Rendered, tally: Callable[[str], Tally]) -> Iterator[Failu
                 yield Failure(kind=kind, sentence=reason, at=where, pass_name=comparison.pass_name, **pair)
 
 
-def _findings(verdict: Verdict | None) -> Sequence[Finding]:
-    return verdict.findings if verdict else ()
+def _over(comparison: Comparison, at: Mapping[Pixel, Verdict], pair: Mapping[str, Any]) -> Failure | None:
+    """Interior pixels over tolerance; None where a verdict has told of them."""
+    worst = comparison.worst
+    assert worst is not None
+    told = at.get((worst.x, worst.y))
+    # Where nothing explains it, there is a verdict that says so; of a sample another pixel's.
+    for verdict in [told] if told else at.values():
+        if not verdict.explained and _family(comparison.pass_name) in map(_family, verdict.passes):
+            return None
+    wrong = [finding for finding in (told.findings if told else ()) if not finding.right]
+    return Failure(
+        kind=Kind(
+            comparison.renderer, "over tolerance", " ".join(f.cause for f in wrong), _family(comparison.pass_name)
+        ),
+        sentence="; ".join((*comparison.reasons, *(f"{finding.renderer}: {finding.because}" for finding in wrong))),
+        at=(worst.x, worst.y),
+        pass_name=comparison.pass_name,
+        drawn={comparison.renderer: (worst.a,), comparison.reference: (worst.b,)},
+        tolerance=comparison.tolerance,
+        **pair,
+    )
+
+
+def _rank(name: str) -> tuple[bool, bool, bool]:
+    """A part before the sums that it goes into."""
+    return name != "id", not name.startswith("shadow"), name in SUMS
 
 
 def _family(name: str) -> str:
@@ -261,8 +277,7 @@ def _family(name: str) -> str:
 
 def _verdict(rendered: Rendered, verdict: Verdict, finding: Finding) -> Failure:
     """A pixel of which nothing explains what one side drew."""
-    # A part before the sums that it goes into.
-    name = min(finding.errors, key=lambda name: (name != "id", not name.startswith("shadow"), name in SUMS))
+    name = min(finding.errors, key=_rank)
     decision = finding.decision
     x, y = verdict.x, verdict.y
     drawn: dict[str, Sequence[float]] = {
@@ -298,7 +313,7 @@ def _disproved(scene: Scene, reference: Named, settings: Settings) -> Iterator[F
     for miss in certificate.misses:
         if miss.claim >= 1:
             yield Failure(
-                kind=Kind(name, "disproved", "", _family(miss.pass_name)),
+                kind=Kind(name, "disproved"),
                 renderer=name,
                 reference=name,
                 sentence=f"{name} is off by {miss.error:.3g} where {miss.tolerance:.3g} is allowed",
@@ -381,6 +396,8 @@ def _work(connection: Connection, order: _Order) -> None:
     # A group of its own: Ctrl-C is for the parent, and what it ends it ends with the programs started here.
     os.setsid()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # Mitsuba makes its own integrators anew whenever another of its variants draws.
+    warnings.filterwarnings("ignore", message="The AST-transforming decorator")
     while True:
         task = connection.recv()
         if task is None:
@@ -417,11 +434,12 @@ class _Worker:
         self.process.start()
         theirs.close()
         self.index: int | None = None
+        self.seen = False
         self.doing = ""
         self.deadline = 0.0
 
     def give(self, index: int, enough: set[Kind], seconds: float) -> None:
-        self.index, self.doing = index, ""
+        self.index, self.seen, self.doing = index, False, ""
         self.deadline = time.monotonic() + seconds
         self.connection.send((index, enough))
 
@@ -445,6 +463,7 @@ class Found:
     count: int = 0
     scenes: int = 0
     made_smaller: int = 0
+    kept: bool = False
     path: Path | None = None
 
 
@@ -475,11 +494,12 @@ class Campaign(Outcome):
             return trouble
         return 1 if self.kinds else 0
 
-    def add(self, seen: Seen) -> None:
-        """Count a scene."""
-        self.done += 1
-        self.themes[seen.theme] += 1
-        self.twists.update(seen.twists)
+    def add(self, seen: Seen, *, again: bool = False) -> None:
+        """Count a scene; `again`: what came of it later."""
+        if not again:
+            self.done += 1
+            self.themes[seen.theme] += 1
+            self.twists.update(seen.twists)
         self.slowest = max(self.slowest, (seen.seconds, seen.index))
         for name, tally in seen.tallies.items():
             self.tallies.setdefault(name, Tally()).add(tally)
@@ -556,7 +576,8 @@ def fuzz(
         OSError: a file cannot be written.
     """
     settings = settings or Settings(threads=1)  # small images
-    asked = [renderers.get(entry) if isinstance(entry, str) else entry for entry in (tested or best())]
+    # By name where they have one: what is found in every process need not be sent.
+    asked = {renderers.get(entry) if isinstance(entry, str) else entry: entry for entry in (tested or best())}
     against = renderers.get(reference) if isinstance(reference, str) else reference
     sides = list(dict.fromkeys([*asked, against]))
     result = Campaign(
@@ -572,8 +593,7 @@ def fuzz(
     if not usable or any(failure.renderer == against.name for failure in result.failures):
         return result
     result.tested = tuple(entry.name for entry in usable)
-    # By name where they have one: what is found here need not be sent.
-    sent = tuple(entry.name if entry.name in {*map(str, tested or best())} else entry for entry in usable)
+    sent = tuple(asked[entry] for entry in usable)
     order = _Order(seed, sent, reference, settings, smaller_seconds)
     start = time.monotonic()
 
@@ -590,8 +610,8 @@ def fuzz(
         run = _in_processes(result, order, indices, min(jobs, scenes), scene_seconds) if jobs else _here(order, indices)
         with contextlib.closing(run):
             for what, value in run:
-                if what == "seen":
-                    result.add(value)
+                if what in ("seen", "again"):
+                    result.add(value, again=what == "again")
                     for failure in value.failures:
                         _keep(result, failure, output, is_smaller=False)
                     tell()
@@ -657,7 +677,7 @@ def _in_processes(
                     except (EOFError, OSError):
                         worker.process.join()
                         ended = f"the process ended with status {worker.process.exitcode}"
-                        yield "seen", _broken(worker, order, "crashed", ended)
+                        yield "again" if worker.seen else "seen", _broken(worker, order, "crashed", ended)
                         replaced(worker)
                         continue
                     if what == "doing":
@@ -669,10 +689,12 @@ def _in_processes(
                         else:
                             give(worker)
                         continue
+                    worker.seen = True
                     worker.deadline = time.monotonic() + scene_seconds + order.seconds
                     yield what, value
                 elif time.monotonic() > worker.deadline:
-                    yield "seen", _broken(worker, order, "hangs", f"no answer in {scene_seconds:g} seconds")
+                    late = _broken(worker, order, "hangs", f"no answer in {scene_seconds:g} seconds")
+                    yield "again" if worker.seen else "seen", late
                     replaced(worker)
     finally:
         for worker in workers:
@@ -706,11 +728,11 @@ def _keep(result: Campaign, failure: Failure, output: Path | None, *, is_smaller
     """Save a failure where it is the smallest of its kind."""
     found = result.kinds[failure.kind]
     found.made_smaller += is_smaller
-    if found.path is not None and not size(failure.scene) < size(found.smallest.scene):
-        if is_smaller and failure.index == found.smallest.index:
-            found.smallest = failure
+    # One that is not smaller may still be as small as it gets: that is known of it then.
+    again = is_smaller and failure.index == found.smallest.index and failure.scene == found.smallest.scene
+    if found.kept and not again and not size(failure.scene) < size(found.smallest.scene):
         return
-    found.smallest = failure
+    found.smallest, found.kept = failure, True
     if output is None:
         return
     before, found.path = found.path, _save(result, failure, output)
@@ -730,7 +752,7 @@ def _save(result: Campaign, failure: Failure, output: Path) -> Path:
     names = list(dict.fromkeys([failure.renderer, failure.reference]))
     entry = _record(failure, result.seed) | {"versions": result.versions, "commands": []}
     x, y = failure.at or (0, 0)
-    commands = [explain_command(str(path), failure.scene, Settings(), x, y, names)] if failure.at else []
+    commands = [explain_command(str(path), scene, Settings(), x, y, names)] if failure.at else []
     if len(names) > 1:
         commands.append(shlex.join(["whitted", "validate", str(path), "--renderer", names[0], "--against", names[1]]))
     elif failure.kind.what == "disproved":

@@ -38,15 +38,21 @@ def names(comparisons: Iterable[Comparison]) -> list[str]:
     return list(dict.fromkeys(name for entry in comparisons for name in (entry.renderer, entry.reference)))
 
 
+def measured(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """Those in which something could be compared: a renderer that lacks a pass says nothing about it."""
+    return [entry for entry in comparisons if entry.max is not None]
+
+
 def several(comparisons: Sequence[Comparison]) -> bool:
     """Whether there is more to say than how one renderer compares with the others."""
-    return len(matrix(comparisons)) > 2 * (len(names(comparisons)) - 1)
+    every = names(comparisons)
+    return len(every) > 2 and len(matrix(comparisons)) > 2 * (len(every) - 1)
 
 
 def matrix(comparisons: Sequence[Comparison]) -> dict[tuple[str, str], Cell]:
     """By pair, in either order, how many comparisons agree."""
     found: dict[tuple[str, str], Cell] = {}
-    for entry in comparisons:
+    for entry in measured(comparisons):
         for pair in ((entry.renderer, entry.reference), (entry.reference, entry.renderer)):
             cell = found.get(pair, Cell(0, 0))
             found[pair] = Cell(cell.agree + entry.ok, cell.made + 1)
@@ -56,7 +62,7 @@ def matrix(comparisons: Sequence[Comparison]) -> dict[tuple[str, str], Cell]:
 def alone(comparisons: Sequence[Comparison]) -> list[Alone]:
     """Who stands alone: two others at least, all of which agree with one another and differ from it."""
     groups: dict[tuple[str, tuple[int, int], str], list[Comparison]] = {}
-    for entry in comparisons:
+    for entry in measured(comparisons):
         groups.setdefault((entry.scene, entry.size, entry.pass_name), []).append(entry)
     found = []
     for (scene, _, name), group in groups.items():

@@ -233,7 +233,7 @@ def lamps(stage: Stage) -> None:
     dice = stage.dice
     for _ in range(dice.whole(1, 4)):
         sphere = dice.one(tuple(stage.spheres))
-        stage.light(on(sphere, dice.direction(), dice.one((0.0, 1.0, 1.0, 0.999, 1.001, 1.0000001, 1.5))))
+        stage.light(on(sphere, dice.direction(), dice.one((0.0, 1.0, 1.0, 1.0, 0.999, 1.001, 1.0000001, 1.5))))
 
 
 def flat(stage: Stage) -> None:
@@ -395,7 +395,7 @@ def negative_scalings(stage: Stage) -> None:
 
 def squeezed(stage: Stage) -> None:
     """All of one axis: what touches goes on touching."""
-    axis, factor = stage.dice.whole(0, 2), stage.dice.one((0.02, 0.1, 0.5, 2.0, 10.0))
+    axis, factor = stage.dice.whole(0, 2), stage.dice.one((0.02, 0.1, 0.5, 2.0, 5.0))
     resize(stage, tuple(factor if k == axis else 1.0 for k in range(3)))
 
 

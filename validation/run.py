@@ -148,6 +148,8 @@ class Validation(Outcome):
             return found.setdefault(renderer, {}).setdefault(name, {"compared": 0, "agree": 0, "lacking": 0})
 
         for comparison in self.comparisons:
+            if comparison.max is None:
+                continue  # nothing could be compared
             for renderer in (comparison.renderer, comparison.reference):
                 of = entry(renderer, comparison.pass_name)
                 of["compared"] += 1
@@ -188,7 +190,7 @@ class InputError(ValueError):
     """A scene or a size that a renderer cannot be asked to draw: complete messages."""
 
 
-class RendererError(RuntimeError):
+class RendererError(Exception):
     """A renderer did what no renderer may do; the text says what, without its name."""
 
 
@@ -626,7 +628,9 @@ def _compare(
             for side, passes_of, claim, encoding in zip((first, second), (a, b), claims, encodings, strict=True)
         ]
         try:
-            court = shared.courts.setdefault(at, verdict.Court(scene, settings, analysis))
+            if at not in shared.courts:
+                shared.courts[at] = verdict.Court(scene, settings, analysis)
+            court = shared.courts[at]
             pair = sides[0], sides[1]
             judged = verdict.judge(scene, label, settings, analysis, *pair, found, most=verdicts, court=court)
         except verdict.RulesError as error:

@@ -194,7 +194,7 @@ def print_failures(result: Outcome) -> None:
     for failure in result.failures:
         text = ": ".join(filter(None, vars(failure).values()))
         # Those of scene files say `error:` after the place.
-        click.echo(text if ": error: " in text else f"error: {text}", err=True)
+        click.echo(text if ": error: " in text.partition("\n")[0] else f"error: {text}", err=True)
 
 
 def print_verdicts(verdicts: Verdicts) -> None:
@@ -428,12 +428,16 @@ def print_check(result: Checked) -> None:
         causes.update(verdict.renderer.because for verdict in verdicts.verdicts if verdict.renderer.cause == "mistake")
     judged = sum(len(verdicts.verdicts) for verdicts in result.validation.verdicts)
     for because, count in causes.most_common(MOST_GROUPS):
+        if count < judged / 5:
+            continue  # a few pixels look like many things
         says = because.removeprefix("truth makes this pixel if it ")
         click.secho(f"most likely: it {says} ({count} of {judged} pixels judged)", fg="red", color=colorful())
     for verdicts in result.validation.verdicts:
         print_verdicts(verdicts)
     print_notes(result.validation)
     print_failures(result.validation)
-    if result.validation.comparisons:
+    if failed := len(result.validation.failures):
+        click.echo(f"{failed} of {failed + len(result.left)} scenes failed")
+    elif result.validation.comparisons:
         right = "right" if result.fit is None or result.fit.convention.specified else "right but for its convention"
         click.echo(right if result.status == 0 else "not right")

@@ -144,6 +144,75 @@ def test_the_ambient_term_alone_has_a_light_that_stands_nowhere_and_mirrors() ->
     assert described["integrator"] == {"type": "path", "max_depth": 5, "rr_depth": 6}
 
 
+def test_pure_mirrors_are_stock_conductors() -> None:
+    """And what chains of them end on is lit, or shines from one side."""
+    mirror = sphere(ka=0, kd=0, kr=0.5, scaling=(1, 2, 1))
+    pair = scene(mirror, sphere(position=(3, 0, -6)), lights=(LAMP,), ambient=(1, 2, 3))
+    assert converter.stock_mirrors(pair)
+    lit = converter.chain_dict(pair, "light")
+    assert not [plugin for plugin in types(lit) if plugin.startswith("whitted_")]
+    assert lit["group_0"]["surface"]["bsdf"]["surface"] == {
+        "type": "conductor",
+        "material": "none",
+        "specular_reflectance": {"type": "rgb", "value": [0.5] * 3},
+    }
+    assert "bsdf" not in lit["sphere_0"]
+    assert lit["sphere_1"]["bsdf"]["surface"]["reflectance"]["value"] == [0.4, 0.25, 0.125]
+    assert lit["light"]["intensity"]["value"] == list(LAMP.intensity)
+    for show, radiance in (("ambient", [0.4, 0.25, 0.125]), ("index", [2 * converter.CODE] * 3)):
+        for inside in (False, True):
+            described = converter.chain_dict(pair, show, inside=inside)
+            assert "light" not in described
+            assert described["sphere_1"]["emitter"]["radiance"]["value"] == radiance
+            assert described["sphere_1"]["flip_normals"] == inside
+            assert described["sphere_1"]["bsdf"]["surface"]["specular_reflectance"]["value"] == [0, 0, 0]
+            kept = described["group_0"]["surface"]["bsdf"]["surface"]["specular_reflectance"]["value"]
+            assert kept == ([0.5] * 3 if show == "ambient" else list(converter.COUNTING))
+
+
+def types(described: Any) -> list[str]:
+    """The plugins of a dictionary."""
+    if not isinstance(described, dict):
+        return []
+    return [described["type"], *(name for value in described.values() for name in types(value))]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({}, True),
+        ({"kr": 0.5}, False),
+        ({"kr": 0.5, "color": (0, 0, 0)}, True),
+        ({"kr": 0.5, "ka": 0, "kd": 0, "scaling": (1, 2, 3)}, True),
+        ({"scaling": (1, -1, 1)}, True),
+        ({"scaling": (1, 2, 1)}, False),
+        ({"ks": 0.5}, False),
+    ],
+)
+def test_which_mirrors_stock_plugins_say(changes: dict[str, Any], says: bool) -> None:
+    pair = scene(sphere(ka=0, kd=0, kr=0.5), sphere(position=(3, 0, -6), **changes), lights=(LAMP,))
+    assert converter.stock_mirrors(pair) == says
+    # Nothing shines without lights.
+    assert converter.stock_mirrors(pair.replace(lights=[])) == (says or "ks" in changes)
+
+
+def test_places_are_read_off_a_texture() -> None:
+    """On the axes they are 0, 1/2 and 1; the texture is about the sphere, not about the scene."""
+    import mitsuba as mi
+
+    far = scene(sphere(position=(300, -200, -60), scaling=(4, -4, 4), color=(1, 1, 1)))
+    texture = mi.load_dict(converter.chain_dict(far, "place")["sphere_0"]["emitter"]["radiance"])
+    for axis in range(3):
+        for side in (-1, 0, 1):
+            si = mi.SurfaceInteraction3f()
+            place = [300.0, -200.0, -60.0]
+            place[axis] += 4 * side
+            si.p = mi.Point3f(*place)
+            expected = [0.5] * 3
+            expected[axis] += side / 2
+            assert list(texture.eval(si)) == pytest.approx(expected, abs=2e-5)
+
+
 def test_background_is_for_primary_rays_only() -> None:
     described = converter.to_dict(scene(sphere(), lights=(LAMP,)))
     assert described["background"]["sampling_weight"] == 0

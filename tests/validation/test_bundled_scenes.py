@@ -21,7 +21,7 @@ PIXELS = {"llvm": 40_000, "scalar": 2_500}
 
 
 def test_the_scenes_are_there() -> None:
-    assert {name.split("/")[0] for name in FILES} == {"gallery", "spec"}
+    assert {name.split("/")[0] for name in FILES} == {"gallery", "hard", "spec"}
 
 
 @pytest.mark.filterwarnings("ignore::tracer.SceneWarning")

@@ -24,7 +24,7 @@ from tracer.passes import SAMPLES, Sample
 from validation import Settings
 from validation.check import LAYOUTS, Convention, Picture, check, fit
 from validation.encoding import QUANTISATIONS, Encoding
-from validation.run import resized
+from validation.run import InputError, resized
 
 CONVENTIONS = [
     Convention(sample, flipped, quantisation)
@@ -33,7 +33,7 @@ CONVENTIONS = [
 #: One of each sampling and of each quantisation: with a defect a fit takes longer.
 SOME = [
     Convention(sample, False, quantisation)
-    for sample, quantisation in zip(SAMPLES, list(QUANTISATIONS)[1:], strict=True)
+    for sample, quantisation in zip((*SAMPLES, *SAMPLES), list(QUANTISATIONS)[1:], strict=False)
 ] + [Convention("corner", True)]
 
 Colors = np.ndarray[Any, np.dtype[np.float64]]
@@ -196,6 +196,47 @@ def test_one_wrong_pixel_is_left() -> None:
     assert {verdict.renderer.cause for verdict in verdicts.verdicts} == {"unexplained"}
 
 
+def test_what_is_missing_everywhere_is_found() -> None:
+    """No pixel is right, so none tells the sampling: truth without the ambient term does."""
+    scene = full().replace(background=(0, 0, 0))
+    convention = Convention("center", True, "round")
+    dark = picture(scene.replace(ambient=(0, 0, 0)), convention)
+    found = fit([dataclasses.replace(dark, scene=scene)], Settings())
+    assert (found.convention, found.mistake) == (convention, "leaves out the ambient term")
+
+
+def test_part_of_an_image_in_another_quantisation_is_no_mistake() -> None:
+    """Surfaces rounded, the rest truncated: no rule that changes next to nothing is taken for the reason."""
+    right, other = picture(full(), Convention()), picture(full(), Convention(quantisation="round"))
+    levels = np.where((np.arange(48) < 16)[:, None, None], right.levels, other.levels)
+    found = fit([dataclasses.replace(right, levels=levels)], Settings())
+    assert (found.convention, found.mistake) == (Convention(quantisation="round"), "")
+    assert found.explained > 32 * 64
+
+
+def test_an_image_of_something_else() -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (48, 64, 3))
+    result = check([dataclasses.replace(picture(full(), Convention()), levels=noise)], verdicts=0)
+    assert result.fit is not None
+    assert not result.fit.known
+    assert result.fit.convention == Convention()
+    assert result.about()[0].startswith("no known convention explains the image; as: samples at the top-left corner")
+
+
+def test_scenes_that_are_equal_have_images_of_their_own() -> None:
+    again = tracer.loads(full().text())
+    right = picture(full(), Convention())
+    wrong = Picture("again", again, np.zeros_like(right.levels))
+    result = check([right, wrong], verdicts=0)
+    assert [entry.off > 0 for entry in result.left] == [False, True]
+
+
+def test_an_image_that_is_too_large_is_refused() -> None:
+    large = full().replace(view=full().view.replace(columns=2100, rows=2100))
+    with pytest.raises(InputError, match="scene: error: an image of 2100x2100 pixels takes too long to be checked"):
+        check([Picture("scene", large, np.zeros((2100, 2100, 3), np.uint8))])
+
+
 # ---- the command
 
 
@@ -262,7 +303,9 @@ def test_a_program(scene_file: Path, run: Callable[..., Result]) -> None:
     ("arguments", "error", "hint"),
     [
         ([], "expected either --image or --command", "whitted check SCENE --image FILE"),
-        (["--image", "a.png", "--command", "x {scene}"], "expected either --image or --command", "whitted check"),
+        (["--image", "a.png", "--command", "x {scene}"], "--image and --command exclude each other", "whitted check"),
+        (["--image", "a.png", "--size", "8x8"], "--size: an image has the size that it has", "--command"),
+        (["--command", ""], "the command", "./mine"),
         (["--image", "a.png", "--image", "b.png"], "expected 1 --image for 1 scene, found 2", "one each"),
         (["--image", "missing.png"], "missing.png: error: No such file", ""),
         (["--image", "small.png"], "small.png: error: the image is 2x3, the scene asks for 64x48", ""),

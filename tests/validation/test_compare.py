@@ -112,6 +112,13 @@ def test_the_tolerance_counts_absolute_errors_of_the_quantity() -> None:
     assert not compare(changed("depth", (5, 5), 5.001), passes(), "depth", by).ok
 
 
+def test_an_absolute_error_of_one_pass_loosens_no_other() -> None:
+    by = judge(a=claim(absolute={"color": 0.0, "beauty": 1e-3}), b=claim(absolute={"beauty": 1e-3}))
+    for name, ok in (("beauty", True), ("ambient", False)):
+        assert compare(changed(name, (5, 5, 1), passes()[name][5, 5, 1] + 1.9e-3), passes(), name, by).ok == ok
+    assert not compare(changed("beauty", (5, 5, 1), passes()["beauty"][5, 5, 1] + 2.1e-3), passes(), "beauty", by).ok
+
+
 def test_tolerances_may_differ_from_pixel_to_pixel() -> None:
     unit = np.zeros(SHAPE)
     unit[5, 5] = 1e-3

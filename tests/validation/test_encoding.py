@@ -28,6 +28,8 @@ PROGRAMS: dict[str, Callable[[float], int]] = {
     "256": lambda v: min(int(v * 256), 255),
     "srgb": lambda v: int((12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055) * 255 + 0.5),
     "srgb-truncate": lambda v: int((12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055) * 255 + 1e-12),
+    "gamma": lambda v: int(v ** (1 / 2.2) * 255 + 0.5),
+    "gamma-truncate": lambda v: int(v ** (1 / 2.2) * 255),
 }
 
 colors = st.floats(-2, 4)

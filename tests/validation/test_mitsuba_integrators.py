@@ -18,7 +18,7 @@ from tracer.passes import MARGINS, SAMPLES, Passes, Sample, names
 from validation import compare_passes
 from validation.compare import Judge
 from validation.renderers import Renderer, Settings, get
-from validation.renderers.mitsuba import MitsubaSpec, epsilons, path, stock, variants
+from validation.renderers.mitsuba import MitsubaSpec, epsilons, path, precision, stock, variants
 from validation.renderers.mitsuba.epsilons import RAY_EPSILON
 from validation.renderers.mitsuba.path import MitsubaPath
 from validation.renderers.mitsuba.stock import MitsubaStock
@@ -66,6 +66,33 @@ MIRRORS = scene(
     [light(2, 5, 0), light(-4, 0, -1)],
 )
 CUT = scene([sphere((0.2, 0, -1.6), 1.2, 1, 0.9), sphere((1, 1, -4), 1)], [light(0.1, 0.2, -1.5), light(3, 4, 2)])
+
+
+def mirror(position: tuple[float, float, float], *scaling: float, kr: float = 0.9) -> Sphere:
+    """One that is nothing but that."""
+    return sphere(position, *scaling, ka=0, kd=0, kr=kr)
+
+
+#: Two mirrors with balls between them, on a large one.
+PURE = scene(
+    [
+        mirror((-1.2, 0, -5), 1.1),
+        mirror((1.3, 0.2, -5.2), 1.1, 1.4, 0.9, kr=0.7),
+        sphere((0, -0.6, -3.4), 0.45),
+        sphere((0.2, 1.3, -5.5), 0.6, color=(0.2, 0.7, 0.9), ka=0),
+        sphere((0, -42, -5), 40, ka=0.1),
+    ],
+    [light(3, 5, 0), light(-4, 3, -1, intensity=(0.2, -0.3, 0.6))],
+    view(half=0.6),
+)
+#: Chains that end on an inside; mirrors seen from inside.
+ROOM = scene(
+    [sphere((0, 0, 0), 8), mirror((0.5, 0, -3), 0.8), mirror((-1.5, 0.3, -4), 0.9, 0.5, 0.7)],
+    [light(1, 2, 1), light(-3, 2, -3)],
+)
+HALL = scene(
+    [mirror((0, 0, 0), 8, 6, 7, kr=0.8), sphere((0.5, 0, -3), 0.8), sphere((-1.5, 0.3, -4), 0.9)], [light(1, 2, 1)]
+)
 DULL = scene([BALL, sphere((0.8, -0.4, -3), 0.3, kd=0)], [light(2, 5, 0)])
 NEGATIVE = scene([BALL], [light(3, 3, -1), light(0, 1, 0, intensity=(-0.5, 0.2, 0))])
 FAR = scene([sphere((0, 0, -1000), 80), sphere((60, 30, -990), 50, 20, 50)], [light(300, 500, -700)], view(half=0.1))
@@ -79,6 +106,11 @@ STOCK = {
     "no lights": MATTE.replace(lights=[]),
     "no spheres": scene([], [light(0, 0, 0)]),
     "one pixel": scene([sphere((-1, 1, -1.5), 1)], [light(0, 0, 0)], view(1, 1)),
+    "pure mirrors": PURE,
+    "pure mirrors, no lights": PURE.replace(lights=[]),
+    "pure mirrors alone": PURE.replace(spheres=PURE.spheres[:2]),
+    "pure mirrors in a room": ROOM,
+    "a mirror around the eye": HALL,
 }
 PATH = STOCK | {
     "mirrors": MIRRORS,
@@ -142,6 +174,49 @@ def test_stock_agrees_with_the_reference(stocked: MitsubaStock, name: str) -> No
 def test_path_agrees_with_the_reference(paths: MitsubaPath, name: str) -> None:
     drawn = PATH[name] if paths.backend == "llvm" else PATH[name].replace(view=view(20, 20))
     assert tuple(agree(paths, drawn)) == names(len(drawn.lights), margins=False)
+
+
+@pytest.mark.parametrize("bounces", [0, 1, 2, 5])
+def test_stock_adds_nothing_behind_the_last_mirror(stocked: MitsubaStock, bounces: int) -> None:
+    """In a mirror around the eye there is always one mirror more."""
+    found = agree(stocked, HALL, Settings(max_reflections=bounces))
+    assert f"reflection.{bounces + 1}" not in found
+    for k in {1, 3} & {*range(bounces + 1)}:
+        assert np.count_nonzero(found[f"reflection.{k}"].any(axis=-1)) > 50
+
+
+def test_chains_end_where_the_reference_has_it(stocked: MitsubaStock) -> None:
+    """As many mirrors, and the point within what is claimed of it: there the AOV is Mitsuba's own."""
+    settings = Settings()
+    for drawn in (PURE, ROOM, HALL):
+        with stocked.ready():
+            count, position = stock._ends(drawn, settings)
+            seen = stock.surfaces(drawn, settings)
+        passes = reference.render(drawn, [f"reflection.{k}" for k in (1, 2, 3)])
+        for k in (1, 2, 3):
+            # Where nothing is lit nothing shows.
+            assert np.mean(passes[f"reflection.{k}"].any(axis=-1) & (count != k)) < 2e-3
+        ids = np.asarray(seen["id"])
+        ends = np.isin(ids, [i for i, entry in enumerate(drawn.spheres) if not entry.kr])
+        assert ends.sum() > 50
+        assert not count[ends].any()
+        centers = np.array([entry.position for entry in drawn.spheres])[ids]
+        radii = np.array([entry.scaling[0] for entry in drawn.spheres])[ids][..., None]
+        known = epsilons.LOOKUP * epsilons.UNIT_ROUNDOFF * (np.abs(seen["position"]) + np.abs(centers) + 4 * radii)
+        off = np.abs(position - seen["position"])
+        assert np.all(off[ends] <= known[ends])
+        assert (off / known)[ends].max() > 0.02
+
+
+def test_more_depth_would_add_light_between_matt_surfaces(stocked: MitsubaStock) -> None:
+    """So each pixel is taken from the image with just its depth."""
+    with stocked.ready():
+        count, _ = stock._ends(ROOM, Settings())
+        images = stock.paths(converter.chain_dict(ROOM.replace(background=(0, 0, 0)), "light"), [3, 4, 5])
+    for k in (1, 2):
+        alone, more = images[k - 1][count == k], images[k][count == k]
+        assert np.all(more >= alone)
+        assert (more > 1.001 * alone).any(axis=-1).mean() > 0.1
 
 
 def test_the_ids_of_stock_are_exact_and_its_values_close_to_native(stocked: MitsubaStock) -> None:
@@ -237,6 +312,20 @@ TINY = sphere((0.5, 0.5, -3), 1e-3, 1, 1)
         (MATTE.replace(spheres=[*MATTE.spheres, sphere((2, 2, -6), 1, kr=0.1)]), MIRRORED | {"beauty"}),
         (MATTE.replace(spheres=[*MATTE.spheres, TINY]), {*LIT, "specular", "direct", "beauty"}),
         (MIRRORS, MIRRORED | {"specular", "direct", "beauty"}),
+        (PURE, set()),
+        # A mirror with a term of its own, an end that is an ellipsoid, a highlight, a mirror that is too small.
+        (PURE.replace(spheres=[*PURE.spheres[1:], sphere((2, 2, -6), 1, kr=0.1)]), MIRRORED | {"beauty"}),
+        (PURE.replace(spheres=[*PURE.spheres[1:], sphere((2, 2, -6), 1, 2, 1)]), MIRRORED | {"beauty"}),
+        (
+            PURE.replace(spheres=[*PURE.spheres[1:], sphere((2, 2, -6), 1, ks=0.1)]),
+            MIRRORED | {"specular", "direct", "beauty"},
+        ),
+        (
+            PURE.replace(spheres=[*PURE.spheres[1:], mirror((0.5, 0.5, -3), 1e-3)]),
+            MIRRORED | LIT | {"specular", "direct", "beauty"},
+        ),
+        # Black is no term.
+        (PURE.replace(spheres=[*PURE.spheres[1:], sphere((2, 2, -6), 1, kr=0.1, color=(0, 0, 0))]), set()),
     ],
 )
 def test_stock_claims_what_it_can_say(drawn: Scene, lacks: set[str]) -> None:
@@ -252,6 +341,10 @@ def test_what_is_absent_is_no_hindrance() -> None:
     shiny = scene([sphere((0, 0, -4), 1, ks=0.5), TINY], [])
     assert set(MitsubaStock("scalar").passes(shiny, Settings())) == set(names(0, margins=False))
     assert "reflection" in MitsubaStock("scalar").passes(MIRRORS, Settings(max_reflections=0))
+    for most, reflects in ((stock.DEEPEST, True), (stock.DEEPEST + 1, False)):
+        assert ("beauty" in MitsubaStock("scalar").passes(PURE, Settings(max_reflections=most))) == reflects
+    assert MitsubaStock("scalar").sources(PURE, Settings())["reflection.1"] == "stock"
+    assert MitsubaStock("scalar").sources(MATTE, Settings())["reflection.1"] == "derived"
     assert set(MitsubaPath("llvm").passes(shiny, Settings())) == set(names(0, margins=False))
 
 
@@ -364,6 +457,27 @@ def test_a_ball_beside_the_light_hides_it_and_the_rule_says_why_mitsuba_lets_it_
         assert followed.pixel(int(x), int(y)).values["shadow.L0"][0].value == found["shadow.L0"][y, x]
 
 
+def test_what_mirrors_show_is_claimed_of_the_passes_that_show_it() -> None:
+    analysis = margins.analyse(PURE)
+    exact = precision.uncertainty(PURE, Settings(), float32_roots=True)
+    claims = {kind: kind("llvm").uncertainty(PURE, Settings(), analysis) for kind in (MitsubaPath, MitsubaStock)}
+    for claim in claims.values():
+        for name in ("ambient", "diffuse", "specular", "direct"):
+            assert claim.absolute_of(name) == exact.absolute_of(name)
+        for name in ("beauty", "reflection", "reflection.2"):
+            color = np.asarray(claim.absolute_of(name))
+            assert 1e-4 < color[analysis.ids == 0].max() < 0.1
+            if claim is claims[MitsubaStock]:
+                assert np.all(color[analysis.ids > 1] == exact.absolute_of(name))
+    # What is lost with the falloff of lights is stock's alone.
+    rounded = 8 * epsilons.UNIT_ROUNDOFF * path.brightest(PURE, Settings())
+    looked_up = np.asarray(claims[MitsubaStock].absolute_of("beauty"))
+    plain = np.asarray(claims[MitsubaPath].absolute_of("beauty")) - rounded
+    lit = (analysis.ids == 0) & (plain > 1e-9)
+    assert np.all(looked_up[lit] > plain[lit])
+    assert np.all(looked_up[lit] < plain[lit] + 1e-3)
+
+
 @pytest.mark.parametrize("drawn", [LATE, MIRRORS], ids=["late", "mirrors"])
 def test_differences_are_explained_by_the_rule_and_by_nothing_else(need: Need, drawn: Scene) -> None:
     renderer = ready(MitsubaPath("llvm"), need)
@@ -439,7 +553,7 @@ def test_where_epsilons_decide_otherwise_is_an_edge_and_elsewhere_colours_are_cl
         off += 0 if a is exact[0] else np.abs(a.color - b.color).max(axis=0)
     assert edge[parted].all()
     assert parted.any()
-    color = np.broadcast_to(claims.absolute["color"], analysis.ids.shape).ravel()
+    color = np.broadcast_to(claims.absolute_of("reflection"), analysis.ids.shape).ravel()
     assert np.all(off[~edge] <= color[~edge] * (1 + 1e-12))
     # No excuse for an image: few pixels claim more than roundings, but where the whole floor is dark by 0.0007.
     assert edge.mean() < 0.05 or drawn.lights == LATE.lights
@@ -459,6 +573,44 @@ def test_a_ball_all_behind_the_end_of_shadow_rays_is_an_edge(stocked: MitsubaSto
     claims = stocked.uncertainty(drawn, settings, analysis)
     edge = np.any([analysis.lighted[kind] < getattr(claims, kind) for kind in MARGINS], axis=0)
     assert edge[differ].all()
+
+
+def test_a_light_just_inside_a_ball_is_hidden_by_it_for_us_alone(stocked: MitsubaStock) -> None:
+    """Mitsuba's shadow rays end before they come to the ball; the margin of that knows no more than light and ball."""
+    ball = sphere((-1, 0, -2.3), 0.5)
+    drawn = scene([sphere((0, 0, 0), 14), ball], [light(-0.898, -0.459, -2.147)], view(24, 24))
+    found = agree(stocked, drawn)
+    exact = reference.render(drawn, ("shadow.L0",))["shadow.L0"]
+    assert np.count_nonzero(exact != found["shadow.L0"]) > 20
+
+
+@pytest.mark.parametrize(("radius", "lost"), [(50, 0), (1e5, 60)])
+def test_a_step_smaller_than_roundings_is_an_edge(stocked: MitsubaStock, radius: float, lost: int) -> None:
+    """A floor that is so large that its points in float32 lie below it, and so may hide all lights."""
+    floor = mirror((0, -radius - 30, -70), radius, kr=0.9)
+    drawn = scene([sphere((0, 0, 0), 400), floor], [light(-190, 200, -230)], view(30, 30))
+    analysis = margins.analyse(drawn)
+    claims = stocked.uncertainty(drawn, Settings(), analysis)
+    edge = {name: Judge(drawn, Settings(), analysis, claims, claims).edge(name) for name in ("shadow.L0", "reflection")}
+    assert np.count_nonzero(np.isinf(claims.absolute_of("reflection"))) >= lost
+    assert np.isinf(claims.terminator).any() == (lost > 0)
+    expected, found = (
+        reference.render(drawn, ("shadow.L0", "reflection.1")),
+        stocked.render(drawn, ("shadow.L0", "reflection.1"), Settings()),
+    )
+    differ = (expected["shadow.L0"] != found["shadow.L0"]) & analysis.lit[0]
+    assert edge["shadow.L0"][differ].all()
+    off = np.abs(expected["reflection.1"] - found["reflection.1"]).max(axis=-1) > 0.05
+    assert edge["reflection"][off].all()
+    assert off.any() == (lost > 0)
+
+
+def test_pure_mirrors_differ_only_by_rules_and_roundings(stocked: MitsubaStock) -> None:
+    """Shadows that mirrors show have the epsilons of Mitsuba, too."""
+    found = judged(stocked, PURE.replace(view=view(160, 160)), ["beauty", "reflection"])
+    assert found.ok
+    assert found.verdicts[0].verdicts
+    assert all(entry.explained for entry in found.verdicts)
 
 
 def test_own_decisions_of_float32_are_a_rule_of_their_own() -> None:
@@ -536,13 +688,19 @@ def test_surfaces_know_the_inside(need: Need) -> None:
 
 def by_program(drawn: Scene, folder: Path, **options: Any) -> dict[str, Any]:
     """The channels of what the command `mitsuba` makes of an XML file without plugins of ours."""
+    converter.write_xml(drawn, folder / "scene.xml", stock_only=True, **options)
+    return drawn_by_program(folder / "scene.xml")
+
+
+def drawn_by_program(path: Path) -> dict[str, Any]:
+    """The channels of its image of a file."""
     import OpenEXR
 
-    converter.write_xml(drawn, folder / "scene.xml", stock_only=True, **options)
-    command = [str(Path(sys.executable).parent / "mitsuba"), "-m", "scalar_rgb", str(folder / "scene.xml")]
-    done = subprocess.run([*command, "-o", str(folder / "image.exr")], capture_output=True, text=True, check=False)
+    image = path.with_suffix(".exr")
+    command = [str(Path(sys.executable).parent / "mitsuba"), "-m", "scalar_rgb", str(path), "-o", str(image)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    with OpenEXR.File(str(folder / "image.exr"), separate_channels=True) as file:
+    with OpenEXR.File(str(image), separate_channels=True) as file:
         return {name: np.array(channel.pixels, dtype=np.float64) for name, channel in file.channels().items()}
 
 
@@ -575,6 +733,25 @@ def test_the_program_draws_the_ambient_term_of_the_renderer(tmp_path: Path) -> N
     found = renderer.render(ambient, ("ambient",), Settings())["ambient"]
     assert found.max() > 0.05
     assert stock.stacked(channels, "albedo.") * ambient.ambient == pytest.approx(found, abs=1e-12)
+
+
+def test_the_program_draws_what_a_mirror_shows(tmp_path: Path) -> None:
+    """One light, and the pixels with one mirror; all that is ours is where its file leads."""
+    import mitsuba as mi
+
+    renderer, one = MitsubaStock("scalar"), PURE.replace(lights=PURE.lights[:1], background=(0, 0, 0))
+    with renderer.ready():
+        found = renderer.render(one, ("reflection.1", "ambient"), Settings())["reflection.1"]
+        count, position = stock._ends(one, Settings())
+        described = converter.chain_dict(one, "light") | {"integrator": {"type": "path", "max_depth": 3}}
+        text = mi.parser.write_string(mi.parser.parse_dict(mi.parser.ParserConfig("scalar_rgb"), described))
+        ambient = stock._shining(one, "ambient", Settings()) * np.array(one.ambient)
+    assert "whitted_" not in text
+    (tmp_path / "s.xml").write_text(text, encoding="utf-8")
+    squared = ((position - one.lights[0].position) ** 2).sum(axis=-1)[..., None]
+    image = stock.stacked(drawn_by_program(tmp_path / "s.xml")) * np.pi * squared + ambient
+    assert np.count_nonzero(count == 1) > 100
+    assert image[count == 1] == pytest.approx(found[count == 1], rel=2e-6, abs=1e-9)
 
 
 def test_the_ambient_term_is_everywhere_and_hidden_by_nothing(need: Need) -> None:

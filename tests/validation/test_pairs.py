@@ -65,6 +65,15 @@ def test_two_alone_are_none() -> None:
     assert not pairs.alone(three.comparisons)
 
 
+def test_who_lacks_a_pass_does_not_stand_alone() -> None:
+    some = [Double(name="a"), Double(name="b"), Double(name="c", missing=("normal",))]
+    result = validate({"full": doubles.full()}, some, (), all_pairs=True, passes=("normal", "id"))
+    assert not pairs.alone(result.comparisons)
+    assert pairs.matrix(result.comparisons)["a", "c"] == pairs.Cell(1, 1)
+    assert result.counts()["c"]["normal"] == {"compared": 0, "agree": 0, "lacking": 1}
+    assert not pairs.several([])
+
+
 def test_what_is_lacking_is_counted(result: Validation) -> None:
     counts = result.counts()
     assert counts["c"]["normal"] == {"compared": 0, "agree": 0, "lacking": 1}

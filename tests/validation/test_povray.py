@@ -229,18 +229,27 @@ def test_claims_follow_from_the_output() -> None:
     """Half a step, divided by the gain; as much again where a pass is a difference, or has a negative part."""
     one = scene([sphere((0, 0, -4), 1)], [light(2, 5, 0)])
     step = 1 / 65535 / converter.gain(one)
-    plain = precision.color(one, Settings())
+
+    def claimed(drawn: Scene, settings: Settings | None = None) -> Callable[[str], float]:
+        claim = precision.uncertainty(drawn, settings or Settings())
+        return lambda name: float(claim.absolute_of(name))
+
+    plain = claimed(one)("beauty")
     assert 0.5 * step < plain < 0.6 * step
     # One mirror hit more may be as bright as the first, so the gain may fall, by a factor of two.
     mirror = one.replace(spheres=[sphere((0, 0, -4), 1, kr=0.5)])
-    gain = converter.gain(mirror, max_reflections=3)
-    assert 1 < precision.color(mirror, Settings()) * 65535 * gain < 1.6
+    unit = 65535 * converter.gain(mirror, max_reflections=3)
+    assert 0.5 < claimed(mirror)("beauty") * unit < 0.8
+    assert claimed(mirror)("reflection") == claimed(mirror)("reflection.3") == 2 * claimed(mirror)("beauty")
+    # What mirrors show takes nothing from the passes without them.
+    for name in ("ambient", "diffuse", "specular", "direct"):
+        assert 0.5 * step / 64 < claimed(mirror)(name) == claimed(one)(name) <= plain
     signs = one.replace(background=(-0.5, 0.3, 0.5))
-    assert precision.color(signs, Settings()) > 1.4 * plain
+    assert claimed(signs)("beauty") > 1.4 * plain
     deep = Settings(max_reflections=100)
-    assert precision.color(mirror, deep) * 65535 * converter.gain(mirror, max_reflections=100) > 2
+    assert claimed(mirror, deep)("reflection") * 65535 * converter.gain(mirror, max_reflections=100) > 2
     bright = one.replace(lights=[light(2, 5, 0, intensity=(1000, 1000, 1000))])
-    assert precision.color(bright, Settings()) > 100 * plain
+    assert claimed(bright)("beauty") > 100 * plain
 
 
 def test_lights_next_to_a_surface_are_left_out() -> None:

@@ -12,7 +12,7 @@ from doubles import Double
 
 from tracer.passes import names
 from validation import Settings, renderers
-from validation.renderers import Renderer
+from validation.renderers import Renderer, Uncertainty
 from validation.renderers.floats import UNIT_ROUNDOFF
 from validation.renderers.native import Native
 from validation.renderers.numpy import Reference
@@ -127,3 +127,21 @@ def test_ours_deliver_what_they_promise(make: Any, precision: Any) -> None:
     claim = renderer.uncertainty(scene, settings)
     assert UNIT_ROUNDOFF[precision] < claim.unit < claim.silhouette < 100 * UNIT_ROUNDOFF[precision]
     assert set(claim.absolute) == {"color", "length", "position", "normal"}
+
+
+def test_an_absolute_error_of_a_pass_stands_before_that_of_its_quantity() -> None:
+    claim = Uncertainty(
+        0, 0, 0, 0, 0, {"color": 1.0, "reflection": 2.0, "reflection.*": 3.0, "length": 4.0, "depth": 5.0}
+    )
+    found = {name: claim.absolute_of(name) for name in names(1, margins=False)}
+    assert {name for name, value in found.items() if value == 1} == {
+        "beauty",
+        "ambient",
+        "diffuse",
+        "specular",
+        "direct",
+    }
+    assert found["reflection"] == 2
+    assert {found[f"reflection.{k}"] for k in (1, 2, 3)} == {3}
+    assert found["depth"] == 5
+    assert found["position"] == found["normal"] == found["shadow.L0"] == found["id"] == 0

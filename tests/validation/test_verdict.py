@@ -17,7 +17,7 @@ import doubles
 import numpy as np
 import planted
 import pytest
-from doubles import Double, with_patch, with_scene
+from doubles import Double, with_arrays, with_patch, with_scene
 from planted import Planted, otherwise
 
 import tracer
@@ -532,6 +532,22 @@ def test_a_claim_that_covers_the_pixel_explains_it() -> None:
     assert {judged.renderer.cause for judged in claimed.verdicts} == {"rounding"}
     unclaimed = only(validate({"scene": scene}, Double(draw=with_scene(larger)), "native-f64", verdicts=20))
     assert {judged.renderer.cause for judged in unclaimed.verdicts} == {"unexplained"}
+
+
+@pytest.mark.parametrize(("name", "right"), [("reflection", True), ("reflection.1", True), ("direct", False)])
+def test_an_absolute_error_of_mirrors_covers_what_mirrors_show(name: str, right: bool) -> None:
+    scene, off = full(), 1e-4
+    absolute = dict.fromkeys(("reflection", "reflection.*"), 1.5 * off)
+    honest = renderers.get("native-f64").uncertainty(scene, Settings())
+    x, y = interior(scene, analysis(scene).ids >= 0)
+
+    def more(arrays: Any) -> None:
+        arrays[name][y, x] += off
+
+    claim = dataclasses.replace(honest, absolute={**honest.absolute, **absolute})
+    finding = find(Double(draw=with_arrays(more), claim=claim), scene, x, y)
+    assert finding.right == right
+    assert set(finding.errors) == (set() if right else {name})
 
 
 def test_a_change_that_is_another_scene_is_no_rounding() -> None:

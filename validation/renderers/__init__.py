@@ -59,7 +59,8 @@ class Uncertainty:
     `unit`: multiplies `Analysis.sensitivity`, so that `unit * sensitivity` bounds the error of a value of an interior
     pixel.
     `absolute`: further absolute error by quantity of the table of passes ("color", "length", "position", "normal"),
-    each derived and documented in the renderer's module.
+    each derived and documented in the renderer's module. A key that is a name of that table ("beauty", "reflection",
+    "reflection.*") is for that pass or family alone, in place of its quantity's.
     """
 
     silhouette: PerPixel
@@ -68,6 +69,13 @@ class Uncertainty:
     terminator: PerPixel
     unit: PerPixel
     absolute: Mapping[str, PerPixel] = field(default_factory=lambda: MappingProxyType({}))
+
+    def absolute_of(self, name: str) -> PerPixel:
+        """The absolute error of a pass."""
+        from tracer.passes import lookup
+
+        row = lookup(name)
+        return self.absolute.get(row.name, self.absolute.get(row.quantity, 0.0))
 
 
 @runtime_checkable

@@ -393,7 +393,8 @@ def _too_much(end: _End, folder: Path, size: int) -> _FindingError | None:
 def _ending(end: _End, folder: Path, limits: Limits) -> _FindingError | None:
     """What is wrong with how it ended."""
     if end.late:
-        return _FindingError(f"took longer than {limits.seconds:g} s", "does it wait for input, or for a window?")
+        hint = "does it wait for input, or for a window? `whitted check` has --time-limit"
+        return _FindingError(f"took longer than {limits.seconds:g} s", hint)
     if end.status == 0:
         return None
     if end.status > 0:

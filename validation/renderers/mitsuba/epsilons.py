@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tracer import reference
+from tracer.motion import DECISION
 from tracer.passes import MARGINS
 from tracer.reference import Flags, Index, Real
 from validation.renderers import PerPixel, Settings, Uncertainty
@@ -38,6 +39,13 @@ NEAR, CLOSE = 2, 8
 #: In float32 half a discriminant is off by so many u h^2 more than counted: h how far from the point next to the centre
 #: the quadratic is set up, for the plain one of `ray_test`, and for a ray that walks there first.
 TEXTBOOK, WALKED = 7.5, 3.0
+#: Each coordinate of a place that is looked up in a texture about the sphere is off by so many u of its own size, the
+#: centre's, and four radii; docs/tolerances.md derives it.
+LOOKUP = 12
+#: On spheres with no scaling above this the step is larger than roundings, wherever it is.
+COARSE = 90
+#: The passes that show what mirrors do.
+MIRRORED = ("beauty", "reflection", "reflection.*")
 
 
 def check() -> None:
@@ -107,6 +115,8 @@ class Bounce:
     visible: Flags
     shines: Flags  # highlights, and those of exponents below 1
     sharp: Flags
+    lost: Flags  # roundings may be larger than the step: what leaves the surface may meet it
+    falloff: Real  # by how much the color may be off where the falloff of lights is undone
     asked: dict[tuple[Any, ...], Asked]
 
 
@@ -119,6 +129,8 @@ class Chains:
         self.tables = reference.Tables(scene, np.float64)
         self.position = np.array([s.position for s in scene.spheres], dtype=np.float64).reshape(-1, 3).T
         self.light = np.array([p.position for p in scene.lights], dtype=np.float64).reshape(-1, 3).T
+        #: Of those of a careful renderer.
+        self.roundings = precision.roundings_of(scene)[1] / DECISION
         #: Nothing that could be hidden: no light gives anything there.
         self.dull: Flags = (self.tables.kd * self.tables.color.max(axis=0, initial=0.0) == 0) & (self.tables.ks == 0)
 
@@ -138,8 +150,11 @@ class Chains:
             gradient = (point - self.at(self.position, sphere)) / self.at(self.tables.scaling, sphere) ** 2
             outward, _ = reference.unit(np.where(hit, gradient, 1.0))
             normal = np.where(inside, -outward, outward)
-            color, seen = self.shade(asked, bounce, hit, sphere, point, normal, inside, direction)
-            yield Bounce(sphere, weight * color, seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3], asked)
+            color, seen, falloff = self.shade(asked, bounce, hit, sphere, point, normal, inside, direction)
+            lost = hit & self.lost(point, gradient, sphere)
+            yield Bounce(
+                sphere, weight * color, seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3], lost, weight * falloff, asked
+            )
             kr = np.where(hit, self.at(self.tables.kr, sphere), 0.0)
             alive = hit & (kr > 0)
             if not alive.any():
@@ -148,6 +163,12 @@ class Chains:
             direction = direction - 2 * reference.dot(direction, normal) * normal
             origin = point + step(point) * normal if self.moved else point
             on, inside_of = np.where(alive, sphere, -1), np.where(inside & alive, sphere, -1)
+
+    def lost(self, point: Real, gradient: Real, sphere: Index) -> Flags:
+        """Whether the step changes a sphere's equation by less than roundings may."""
+        rounded = 4 * reference.dot(np.abs(gradient), np.abs(point) + np.abs(self.at(self.position, sphere))) + 4
+        found: Flags = step(point) * np.linalg.norm(gradient, axis=0) <= self.roundings * UNIT_ROUNDOFF * rounded
+        return found
 
     @staticmethod
     def at(table: Any, index: Index) -> Any:
@@ -241,15 +262,21 @@ class Chains:
         normal: Real,
         inside: Flags,
         direction: Real,
-    ) -> tuple[Real, Flags]:
-        """The colour of the hits, and for each light what of it is a matter of yes and no, in the order of `Bounce`."""
+    ) -> tuple[Real, Flags, Real]:
+        """The colour of the hits, for each light what of it is a matter of yes and no, and what undoing falloff loses.
+
+        In the order of `Bounce`.
+        """
         tables, at = self.tables, self.at
         color = at(tables.ka, sphere) * tables.ambient * at(tables.color, sphere)
         viewer, _ = reference.unit(-direction)
+        center, radius = at(self.position, sphere), at(tables.scaling, sphere)[0]
+        place = np.linalg.norm(np.abs(point) + np.abs(center) + 4 * radius, axis=0) * LOOKUP * UNIT_ROUNDOFF
+        falloff = np.zeros(hit.size)
         seen: list[tuple[Flags, ...]] = []
         for i in range(tables.lights):
             to_light = self.light[:, i : i + 1] - point
-            L, _ = reference.unit(to_light)
+            L, distance = reference.unit(to_light)
             NL = reference.dot(normal, L)
             RV = 2 * NL * reference.dot(normal, viewer) - reference.dot(L, viewer)
             useful = hit & ~(at(self.dull, sphere) & (bounce > 0))
@@ -263,10 +290,13 @@ class Chains:
                 asked["shines", i] = Asked("terminator", np.where(sharp, RV, np.nan), np.full(NL.size, 40 / 16))
             intensity = tables.intensity[:, i : i + 1]
             power = np.power(np.where(shines, RV, 1.0), at(tables.exponent, sphere))
-            color = color + np.where(visible, at(tables.kd, sphere) * intensity * NL * at(tables.color, sphere), 0)
+            diffuse = np.where(visible, at(tables.kd, sphere) * intensity * NL * at(tables.color, sphere), 0)
+            color = color + diffuse
+            share = place / distance
+            falloff = falloff + np.where(visible, np.abs(diffuse).max(axis=0) * (2 + share) * share, 0)
             color = color + np.where(shines, at(tables.ks, sphere) * intensity * power, 0)
             seen.append((facing, visible, glossy & shines, sharp & shines))
-        return np.where(hit, color, 0), np.array(seen, bool).reshape(-1, 4, hit.size)
+        return np.where(hit, color, 0), np.array(seen, bool).reshape(-1, 4, hit.size), falloff
 
     def hidden(
         self,
@@ -323,26 +353,41 @@ class Chains:
             for what, t in (("start", begins), ("end", ends)):
                 y = o + t * d
                 value = (reference.dot(y, y) - 1) / 2
-                lengths = np.abs(origin) + np.abs(t * direction)
-                asked[what, j, i] = Asked("range", np.where(said, value, np.nan), self.moves(y, lengths, j), blur)
+                # A light is where it is, from wherever it is seen.
+                lengths = np.abs(self.light[:, i : i + 1]) if what == "end" else np.abs(origin) + np.abs(t * direction)
+                moves, slack = self.moves(y, lengths, j), np.zeros(own.size)
+                if what == "end" and self.tables.light_on[j, i]:
+                    # It is met at 1, before that if C < A, and by these rays if C is less than that part of A.
+                    by = np.abs(o / scaling[:, None]) + np.abs(d / scaling[:, None])
+                    value = np.where(own, value, (C - A) / 2)
+                    moves = np.where(own, moves, (reference.dot(by, np.abs(origin)) + 1) / 4)
+                    slack = np.where(own, 0.0, SHADOW_EPSILON * A / 2)
+                asked[what, j, i] = Asked("range", np.where(said, value, np.nan), moves, blur, slack)
         return found
 
 
 @dataclasses.dataclass
 class Changes:
-    """What the epsilons do to a picture, by pixel: claims by kind of decision, and to its colours."""
+    """What the epsilons do to a picture, by pixel: claims by kind of decision, and to what mirrors show."""
 
     claims: dict[str, Real]
     color: Real
 
 
 def changes(
-    scene: Scene, settings: Settings, analysis: Analysis, base: Uncertainty, *, plain: bool, mirrors: bool
+    scene: Scene,
+    settings: Settings,
+    analysis: Analysis,
+    base: Uncertainty,
+    *,
+    plain: bool,
+    mirrors: bool,
+    falloff: bool = False,
 ) -> Changes:
     """Follow by both, and compare.
 
     `base`: what roundings may do. `plain`: shadow rays are decided by the plain quadratic in float32. `mirrors`:
-    whether reflected rays count.
+    whether reflected rays count. `falloff`: the falloff of lights is undone with a place that was looked up.
     """
     shape = analysis.ids.shape
     total = Changes({kind: np.zeros(shape) for kind in MARGINS}, np.zeros(shape))
@@ -354,6 +399,8 @@ def changes(
         reflecting = np.array([s.kr > 0 for s in scene.spheres])
         if settings.max_reflections and reflecting.any():
             near |= reflecting[analysis.ids] & (analysis.ids >= 0)
+    coarse = np.array([*(max(map(abs, s.scaling)) > COARSE for s in scene.spheres), False])
+    near |= coarse[analysis.ids]
     if not plain:
         near &= analysis.ids >= 0
     times = np.full(shape, float(NEAR))
@@ -368,7 +415,7 @@ def changes(
             rays = reference.eye_rays(tables, scene.view, settings.sample, rows)
             direction = rays.direction[:, ys * scene.view.columns + xs]
             place = (ys + rows.start, xs)
-            _compare(scene, settings, direction, times[place], total, place, plain=plain)
+            _compare(scene, settings, direction, times[place], total, place, plain=plain, falloff=falloff)
     return total
 
 
@@ -381,11 +428,13 @@ def _compare(
     place: tuple[Index, Index],
     *,
     plain: bool,
+    falloff: bool,
 ) -> None:
     """Both chains of some rays, bounce by bounce."""
     count = direction.shape[1]
     together = np.ones(count, bool)
-    color, parted = np.zeros(count), np.zeros(count, bool)
+    color, parted, gone = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
+    kr = np.array([*(s.kr for s in scene.spheres), 0.0])
     claims = {kind: np.zeros(count) for kind in MARGINS}
     exact, moved = (Chains(scene, settings, moved=rule).follow(direction) for rule in (False, True))
     for bounce, (a, b) in enumerate(zip(exact, moved, strict=False)):
@@ -404,18 +453,31 @@ def _compare(
         jumps = np.where(a.facing == b.facing, a.visible != b.visible, a.shines | b.shines) | (a.sharp != b.sharp)
         parted |= together & ((a.sphere != b.sphere) | jumps.any(axis=0))
         if bounce:
-            color += np.where(together, np.abs(a.color - b.color).max(axis=0), 0.0)
+            off = np.abs(a.color - b.color).max(axis=0)
+            if falloff:
+                off = off + np.maximum(a.falloff, b.falloff)
+            color += np.where(together, off, 0.0)
+        lost = together & (a.lost | b.lost)
+        claims["terminator"][lost] = np.inf
+        gone |= lost & ((bounce > 0) | (kr[a.sphere] > 0))
         together &= (a.sphere == b.sphere) & (a.sphere >= 0)
     for kind in MARGINS:
         total.claims[kind][place] = claims[kind]
     # Where they part the values differ by more than an error, and no tolerance is to hide that.
-    total.color[place] = np.where(parted, 0.0, color)
+    total.color[place] = np.where(gone, np.inf, np.where(parted, 0.0, color))
 
 
 def uncertainty(
-    scene: Scene, settings: Settings, analysis: Analysis | None, *, float32_roots: bool, mirrors: bool, shadows: bool
+    scene: Scene,
+    settings: Settings,
+    analysis: Analysis | None,
+    *,
+    float32_roots: bool,
+    mirrors: bool,
+    shadows: bool,
+    falloff: bool = False,
 ) -> Uncertainty:
-    """What float32 allows, and the epsilons besides."""
+    """What float32 allows, and the epsilons besides; the words are those of `changes`."""
     worst = precision.uncertainty(scene, settings, float32_roots=float32_roots)
     if analysis is None or not shadows:
         return worst
@@ -423,16 +485,21 @@ def uncertainty(
     base = worst
     if float32_roots:
         base = dataclasses.replace(precision.uncertainty(scene, settings, float32_roots=False), unit=worst.unit)
-    found = changes(scene, settings, analysis, base, plain=float32_roots, mirrors=mirrors)
+    found = changes(scene, settings, analysis, base, plain=float32_roots, mirrors=mirrors, falloff=falloff)
     # Roundings act on a quantity that the epsilons have brought nearer to 0 by one part in CLOSE at most.
     nearer = CLOSE / (CLOSE - 1)
 
     def claim(kind: str) -> PerPixel:
         return np.asarray(getattr(base, kind)) * nearer + found.claims[kind]
 
-    absolute = dict(base.absolute)
-    absolute["color"] = np.asarray(absolute.get("color", 0.0)) + found.color
-    return dataclasses.replace(base, **{kind: claim(kind) for kind in MARGINS}, absolute=absolute)
+    return dataclasses.replace(
+        base, **{kind: claim(kind) for kind in MARGINS}, absolute=with_mirrors(base, found.color)
+    )
+
+
+def with_mirrors(of: Uncertainty, color: Real | float) -> dict[str, PerPixel]:
+    """Its absolute errors with so much more in what mirrors show."""
+    return {**of.absolute, **{name: np.add(of.absolute_of(name.replace("*", "1")), color) for name in MIRRORED}}
 
 
 # ---- the rule

@@ -52,7 +52,7 @@ class MitsubaPath(Variant):
             return ()
         every = names(len(scene.lights), settings.max_reflections, margins=False)
         small = epsilons.too_small(scene, settings) is not None
-        if small and (scene.lights or _mirrors(scene, settings)):
+        if small and (scene.lights or stock.mirrors(scene, settings)):
             return tuple(name for name in every if name in {*stock.SURFACES, "ambient"})
         return every
 
@@ -74,12 +74,10 @@ class MitsubaPath(Variant):
             mirrors=True,
             shadows=epsilons.too_small(scene, settings) is None,
         )
-        if not _mirrors(scene, settings):
+        if not stock.mirrors(scene, settings):
             return found
-        absolute = dict(found.absolute)
         rounded = 2 * (settings.max_reflections + 1) * UNIT_ROUNDOFF * brightest(scene, settings)
-        absolute["color"] = np.asarray(absolute.get("color", 0.0)) + rounded
-        return dataclasses.replace(found, absolute=absolute)
+        return dataclasses.replace(found, absolute=epsilons.with_mirrors(found, rounded))
 
     def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
         """Where its rays start and end."""
@@ -111,10 +109,6 @@ class MitsubaPath(Variant):
         return Passes({name: images[name] for name in passes}, self.versions())
 
 
-def _mirrors(scene: Scene, settings: Settings) -> bool:
-    return settings.max_reflections > 0 and any(scene.spheres[i].kr for i in scene.distinct)
-
-
 def brightest(scene: Scene, settings: Settings) -> float:
     """No pixel adds up to more: the largest terms of any sphere in all lights, as often as mirrors show them."""
     term = 0.0
@@ -129,7 +123,7 @@ def brightest(scene: Scene, settings: Settings) -> float:
 def _draw(scene: Scene, wanted: frozenset[str], settings: Settings) -> dict[str, Image]:
     """Every pass that is wanted, and what it is made of."""
     black = np.zeros((scene.view.rows, scene.view.columns, 3))
-    bounces = settings.max_reflections if _mirrors(scene, settings) else 0
+    bounces = settings.max_reflections if stock.mirrors(scene, settings) else 0
     images: dict[str, Image] = {}
     surfaces = stock.surfaces(scene, settings)
     hit = surfaces["id"] >= 0
@@ -191,17 +185,8 @@ def _light(scene: Scene, i: int, settings: Settings, depths: Sequence[int]) -> l
 
 
 def _paths(described: Mapping[str, Any], depths: Sequence[int]) -> list[Image]:
-    """What `path` makes of a scene."""
-    import mitsuba as mi
-
-    scene = mi.load_dict({**described, "embree_use_robust_intersections": True})
-    found = []
-    for k in depths:
-        # The primary hit is depth 1, its light depth 2.
-        integrator = mi.load_dict({"type": "path", "max_depth": k + 2, "rr_depth": k + 3})
-        mi.render(scene, integrator=integrator, seed=0)
-        found.append(stock.stacked(stock.channels(scene)))
-    return found
+    """The same with so many reflections: the primary hit is depth 1, its light depth 2."""
+    return stock.paths(described, [k + 2 for k in depths])
 
 
 def _calls(scene: Scene, passes: frozenset[str]) -> float:

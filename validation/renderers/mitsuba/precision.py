@@ -37,7 +37,7 @@ ROOM = 2
 
 def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Uncertainty:
     """How far any picture of this scene may be off; `float32_roots`: whether the sphere routine works in float32."""
-    ellipsoids, roundings = _roundings(scene)
+    ellipsoids, roundings = roundings_of(scene)
     oblique: PerPixel = 0.0
     hits: PerPixel = 0.0
     undecided: PerPixel = 0.0
@@ -65,7 +65,7 @@ def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Unc
     )
 
 
-def _roundings(scene: Scene) -> tuple[bool, float]:
+def roundings_of(scene: Scene) -> tuple[bool, float]:
     """Whether a scene has ellipsoids, which are instances, and the roundings of a decision."""
     ellipsoids = any(len({abs(value) for value in scene.spheres[i].scaling}) > 1 for i in scene.distinct)
     return ellipsoids, SPHERE_ROUNDINGS + INSTANCE_ROUNDINGS * ellipsoids
@@ -182,7 +182,7 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
     from validation.rules import Rule
     from validation.truth import Prover
 
-    _, roundings = _roundings(scene)
+    _, roundings = roundings_of(scene)
 
     class Flat(Follower):
         """A ray from the inside of a sphere whose discriminant c^2 is within the rounding of float32.

@@ -4,8 +4,11 @@ Camera, shapes, BSDFs, light, integrators and AOVs are Mitsuba's own, put togeth
 that its own program renders. What is ours is arithmetic on the images: the falloff of the stock light is undone with
 the position AOV, terms are multiplied by the intensity of the ambient light, and sums are added up.
 
-Stock Mitsuba has no Phong term and no light that a mirror shows without falloff: passes with these are left out where
-the scene has them. Shadow rays are Mitsuba's, with its epsilons: `epsilons.py` says what follows.
+No AOV tells what a mirror shows. Where mirrors are nothing but mirrors, a pixel's chain of them ends on the first
+sphere that is none. With those spheres shining, `path` shows which that is, behind how many mirrors, and where it is
+hit; so the falloff is undone there too. An image with just as much depth as a pixel has mirrors shows there no light
+that came another way. Other mirrors, and the Phong term, which stock Mitsuba has not, are left out where the scene has
+them. Rays that leave surfaces are Mitsuba's, with its epsilons: `epsilons.py` says what follows.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from converters import mitsuba as converter
+from converters.mitsuba import CODE, COUNTING
 from tracer.passes import Passes, names
 from validation.renderers import Settings, Uncertainty
 from validation.renderers.mitsuba import epsilons
@@ -25,7 +29,7 @@ from validation.renderers.mitsuba.precision import RANGE, UNIT_ROUNDOFF, fits_fl
 from validation.renderers.mitsuba.variants import Variant
 
 if TYPE_CHECKING:
-    from tracer import Scene, Sphere
+    from tracer import Light, Scene, Sphere
     from tracer.margins import Analysis
     from validation.rules import Rule
 
@@ -33,8 +37,8 @@ Image = NDArray[np.float64]
 
 #: Of the passes that do not depend on a light.
 SURFACES = ("depth", "position", "normal", "id")
-#: A sphere's index as an albedo, which holds it exactly.
-CODE = 2.0**-20
+#: The most mirrors in a chain: what COUNTING leaves of a color after them is still a normal number.
+DEEPEST = 100
 
 
 class MitsubaStock(Variant):
@@ -56,7 +60,7 @@ class MitsubaStock(Variant):
             found |= {"diffuse", *(f"shadow.L{i}" for i in range(len(scene.lights)))}
             if not scene.lights or not any(sphere.ks for sphere in spheres):
                 found |= {"specular", "direct"}
-        if settings.max_reflections == 0 or not any(sphere.kr for sphere in spheres):
+        if not mirrors(scene, settings) or _reflects(scene, settings):
             found |= {"reflection", *(f"reflection.{k}" for k in range(1, settings.max_reflections + 1))}
             if "direct" in found:
                 found.add("beauty")
@@ -67,8 +71,9 @@ class MitsubaStock(Variant):
     def sources(self, scene: Scene, settings: Settings) -> Mapping[str, str]:
         """Images of stock Mitsuba, or sums of them; what is 0 in a scene is not drawn."""
         drawn = {*SURFACES[1:], "ambient", "diffuse"}
+        families = ("shadow.", "reflection.") if mirrors(scene, settings) else ("shadow.",)
         return {
-            name: "stock" if name in drawn or name.startswith("shadow.") else "derived"
+            name: "stock" if name in drawn or name.startswith(families) else "derived"
             for name in self.passes(scene, settings)
         }
 
@@ -79,12 +84,13 @@ class MitsubaStock(Variant):
             settings,
             analysis,
             float32_roots=self.backend != "scalar",
-            mirrors=False,
+            mirrors=_reflects(scene, settings),
             shadows=epsilons.too_small(scene, settings) is None,
+            falloff=True,
         )
 
     def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
-        """Where its shadow rays start and end."""
+        """Where its rays start and end."""
         return epsilons.rules(scene, settings, float32_roots=self.backend != "scalar")
 
     def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
@@ -116,6 +122,21 @@ def refusal(scene: Scene, backend: str) -> str | None:
     return None
 
 
+def mirrors(scene: Scene, settings: Settings) -> bool:
+    """Whether anything shows in a mirror."""
+    return settings.max_reflections > 0 and any(scene.spheres[i].kr for i in scene.distinct)
+
+
+def _reflects(scene: Scene, settings: Settings) -> bool:
+    """Whether there are mirrors of which stock Mitsuba tells everything."""
+    return (
+        mirrors(scene, settings)
+        and converter.stock_mirrors(scene)
+        and settings.max_reflections <= DEEPEST
+        and epsilons.too_small(scene, settings) is None
+    )
+
+
 def _draw(scene: Scene, wanted: frozenset[str], settings: Settings) -> dict[str, Image]:
     """Every pass that is wanted, and what it is made of."""
     shape = (scene.view.rows, scene.view.columns)
@@ -132,10 +153,15 @@ def _draw(scene: Scene, wanted: frozenset[str], settings: Settings) -> dict[str,
             diffuse, images[f"shadow.L{i}"] = light(scene, i, settings, images["position"], hit, diffuse=needs_diffuse)
             images["diffuse"] += diffuse
     # Only where the scene has no such term.
-    images["specular"] = images["reflection"] = black
-    images |= {f"reflection.{k}": black for k in range(1, settings.max_reflections + 1)}
+    images["specular"] = black
     images["direct"] = images["diffuse"]
-    images["beauty"] = np.where(hit[..., None], images["ambient"] + images["direct"], np.array(scene.background))
+    reflected = dict.fromkeys(range(1, settings.max_reflections + 1), black)
+    if _reflects(scene, settings) and any(name == "beauty" or name.startswith("reflection") for name in wanted):
+        reflected |= reflections(scene, settings)
+    images |= {f"reflection.{k}": image for k, image in reflected.items()}
+    images["reflection"] = sum(reflected.values(), black)
+    beauty = images["ambient"] + images["direct"] + images["reflection"]
+    images["beauty"] = np.where(hit[..., None], beauty, np.array(scene.background))
     return images
 
 
@@ -227,18 +253,14 @@ def light(
 ) -> tuple[Image, Image]:
     """The diffuse term of one light, and where it is visible."""
     source = scene.lights[i]
-    # As Mitsuba has it. A power of 4 keeps the image far from underflow.
-    place = np.array(source.position, np.float32).astype(np.float64)
-    squared = ((position - place) ** 2).sum(axis=-1)
-    scale = 4.0 ** round(np.log2(squared[hit].max(initial=1.0) or 1.0) / 2)
-    falloff = np.pi * squared[..., None] / scale
+    squared, scale = _squared(source, position, hit)
 
     def drawn(of: Scene, intensity: Sequence[float]) -> Image:
-        """Without falloff. At the light itself there is no light, and no number either."""
+        """Without falloff."""
         lights = [entry.replace(intensity=intensity) for entry in of.lights]
         of = of.replace(lights=lights, limits=False)
         described = converter.to_dict(of, sample=settings.sample, stock_only=True, light=i)
-        return np.where(squared[..., None] > 0, stacked(rendered(described)) * falloff, 0.0)
+        return _without_falloff(stacked(rendered(described)), squared, scale)
 
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -252,6 +274,81 @@ def light(
         else:
             lit = drawn(with_surfaces(scene, kd=1.0, color=(1, 1, 1)), [scale] * 3)
     return color, (hit & (lit.any(axis=-1) | (squared == 0))).astype(np.float64)
+
+
+def _squared(source: Light, position: Image, hit: NDArray[np.bool_]) -> tuple[Image, float]:
+    """The squared distances to a light as Mitsuba has it, and what to multiply its intensity by.
+
+    That is a power of 4, which keeps the image far from underflow.
+    """
+    place = np.array(source.position, np.float32).astype(np.float64)
+    squared = ((position - place) ** 2).sum(axis=-1)
+    return squared, 4.0 ** round(np.log2(squared[hit].max(initial=1.0) or 1.0) / 2)
+
+
+def _without_falloff(image: Image, squared: Image, scale: float) -> Image:
+    """The light as the specification has it. At the light itself there is none, and no number either."""
+    return np.where(squared[..., None] > 0, image * (np.pi * squared[..., None] / scale), 0.0)
+
+
+def reflections(scene: Scene, settings: Settings) -> dict[int, Image]:
+    """What mirrors show, by the number of mirrors on the way."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plain = scene.replace(background=(0, 0, 0), limits=False)
+        count, position = _ends(plain, settings)
+        found = {}
+        numbers = [int(k) for k in np.unique(count[count > 0])]
+        ambient = _shining(plain, "ambient", settings) * np.array(scene.ambient)
+        for k in numbers:
+            found[k] = np.where((count == k)[..., None], ambient, 0.0)
+        for source in scene.lights:
+            if not numbers or not any(source.intensity):
+                continue
+            squared, scale = _squared(source, position, count > 0)
+            # Mitsuba has no light below 0.
+            bright = source.replace(intensity=[abs(value) * scale for value in source.intensity])
+            of = plain.replace(lights=[bright], limits=False)
+            described = converter.chain_dict(of, "light", sample=settings.sample)
+            with np.errstate(invalid="ignore"):
+                # Mirrors and the hit, and then its light.
+                for k, image in zip(numbers, paths(described, [k + 2 for k in numbers]), strict=True):
+                    color = _without_falloff(image, squared, scale) * np.sign(source.intensity)
+                    found[k] += np.where((count == k)[..., None], color, 0.0)
+    return found
+
+
+def _ends(scene: Scene, settings: Settings) -> tuple[NDArray[np.intp], Image]:
+    """Behind how many mirrors each pixel's chain ends on a sphere that is none, and where; 0 if on none."""
+    index = _shining(scene, "index", settings)
+    ends = index[..., 0] > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        count = np.where(ends, np.log2(index[..., 1] / index[..., 0]) / np.log2(COUNTING[1]), 0)
+    sphere = np.where(ends, np.rint(index[..., 0] / CODE) - 1, 0).astype(np.intp)
+    centers = np.array([s.position for s in scene.spheres])
+    radii = np.array([abs(s.scaling[0]) for s in scene.spheres])
+    place = (_shining(scene, "place", settings) - 0.5) * 2 * radii[sphere][..., None]
+    return np.rint(count).astype(np.intp), np.where(ends[..., None], centers[sphere] + place, 0.0)
+
+
+def _shining(scene: Scene, show: converter.Show, settings: Settings) -> Image:
+    """What `path` sees of shining ends of chains, which are seen from one side at a time."""
+    black = np.zeros((scene.view.rows, scene.view.columns, 3))
+    sides = [converter.chain_dict(scene, show, sample=settings.sample, inside=inside) for inside in (False, True)]
+    return sum((paths(side, [settings.max_reflections + 1])[0] for side in sides), black)
+
+
+def paths(described: Mapping[str, Any], depths: Sequence[int]) -> list[Image]:
+    """What `path` makes of a scene with so much depth each: 1 is the primary hit."""
+    import mitsuba as mi
+
+    scene = mi.load_dict({**described, "embree_use_robust_intersections": True})
+    found = []
+    for depth in depths:
+        integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth + 1})
+        mi.render(scene, integrator=integrator, seed=0)
+        found.append(stacked(channels(scene)))
+    return found
 
 
 def _shows(sphere: Sphere, intensity: Sequence[float]) -> bool:

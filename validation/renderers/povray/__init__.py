@@ -77,7 +77,8 @@ class Povray:
 
     def sources(self, scene: Scene, settings: Settings) -> Mapping[str, str]:
         """By pass whether it is a picture as it is, or made of several."""
-        negative = any(min(light.intensity) < 0 for light in scene.lights) or min(scene.ambient) < 0
+        lights = [scene.ambient, scene.background, *(light.intensity for light in scene.lights)]
+        negative = min(map(min, lights)) < 0
         plain = "derived" if negative else "stock"
         made = {"ambient", "diffuse", "specular", "direct", "beauty"}
         return {

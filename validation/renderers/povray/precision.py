@@ -68,7 +68,7 @@ def uncertainty(scene: Scene, settings: Settings, analysis: Analysis | None = No
         order=relative,
         terminator=np.where(losses.terminator, np.inf, relative),
         unit=np.where(losses.lost, np.inf, values),
-        absolute={"color": color(scene, settings), **lengths(scene)},
+        absolute={**colors(scene, settings), **lengths(scene)},
     )
 
 
@@ -84,19 +84,23 @@ def steps(scene: Scene, bounces: int) -> float:
     return 0.5 + STEPS * ((singles + 2) * SINGLE + dim)
 
 
-def color(scene: Scene, settings: Settings) -> float:
-    """The absolute error of the least precise color pass: a picture, or the difference of two."""
+def colors(scene: Scene, settings: Settings) -> dict[str, float]:
+    """The absolute errors of passes that hold colors: of a picture, or of the difference of two."""
     mirrors = any(sphere.kr > 0 for sphere in converter.distinct(scene))
     bounces = settings.max_reflections if mirrors else 0
-    models = [Model(terms, 0) for terms in PLAIN.values()] + [Model(TERMS, bounces)] * (2 if mirrors else 1)
-    worst = 0.0
-    for count, model in ((1 + (model.bounces > 0), model) for model in models):
-        off = 0.0
-        for sign in (1, -1):
-            if model.text(scene, settings, sign) is not None:
-                off += steps(scene, model.bounces) / STEPS / model.gain(scene, settings, sign)
-        worst = max(worst, count * off)
-    return worst
+
+    def off(model: Model) -> float:
+        return sum(
+            steps(scene, model.bounces) / STEPS / model.gain(scene, settings, sign)
+            for sign in (1, -1)
+            if model.text(scene, settings, sign) is not None
+        )
+
+    found = {name: off(Model(terms, 0)) for name, terms in PLAIN.items()}
+    found["beauty"] = off(Model(TERMS, bounces))
+    # Both as uncertain as the one with all reflections. The same picture twice, without mirrors, is no difference.
+    found["reflection"] = found["reflection.*"] = 2 * found["beauty"] if bounces else 0.0
+    return found
 
 
 def lengths(scene: Scene) -> dict[str, float]:
