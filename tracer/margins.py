@@ -397,9 +397,9 @@ class Segments:
         # The outline counts between the two, with both outside.
         over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
         y = line.middle
-        outline = self.margin(
-            (dot(y, y) - 1) / 2, y, middle * y, over & ~starts_inside & ((not ends_inside) | (middle < 1))
-        )
+        # A light just inside, on a chord so short that the line may miss all of it, counts too.
+        outside = ~starts_inside & ((not ends_inside) | (middle < 1))
+        outline = self.margin((dot(y, y) - 1) / 2, y, middle * y, over & outside)
         return blocks, outline, ends
 
     def of_own(self, epsilon: float) -> tuple[Flags, Real, Real]:

@@ -613,12 +613,12 @@ def check(
                     loaded = {label: resized(scene, size) for label, scene in loaded.items()}
                 limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
                 pictures, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
-                name = template
+                name = f"cmd:{template}"
             else:
                 failures = []
                 for path, (label, scene) in zip(images, loaded.items(), strict=True):
                     pictures.append(read_picture(path, label, scene))
-                name = images[0].name if len(images) == 1 else "the image"
+                name = f"image:{images[0].name}" if len(images) == 1 else "image"
             result = check(
                 pictures,
                 settings,

@@ -312,7 +312,7 @@ def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str
 def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int, names: Iterable[str]) -> str:
     """What to type to have a pixel of the scene, as it was drawn, explained; `names`: of renderers, or of images."""
     where = "-" if label == "<stdin>" else label
-    known = [name for name in names if name in renderers.registry().renderers or name.startswith("cmd:")]
+    known = [name for name in names if name.partition(":")[0] != "image"]
     words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(known)]
     if not _is_file(label, scene):
         words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
