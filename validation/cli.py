@@ -29,11 +29,11 @@ from validation.options import (
     NO_LIMITS,
     SAMPLES,
     Count,
-    Names,
     Place,
     Size,
     Whole,
     drawing_options,
+    names_option,
     positive,
     settings_options,
 )
@@ -353,14 +353,14 @@ def whitted() -> None:
 
 @whitted.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
-@click.option("--renderer", type=Names(), default="native-f64", show_default=True, help="What is under test.")
-@click.option("--against", type=Names(), default="mitsuba-spec", show_default=True, help="What it is compared with.")
+@names_option("--renderer", default=["native-f64"], show_default=True, help="What is under test.")
+@names_option("--against", default=["mitsuba-spec"], show_default=True, help="What it is compared with.")
 @click.option(
     "--all-pairs",
     is_flag=True,
     help="Compare every pair, of the renderers named or of all that can run here: who stands alone?",
 )
-@click.option("--passes", type=Names(), help="Passes to compare, for example beauty,shadow.L*; default: all.")
+@names_option("--passes", help="Passes to compare, for example beauty,shadow.L*; default: all.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
@@ -674,7 +674,7 @@ def list_renderers(ctx: click.Context, /, as_json: bool, missing: bool, by_pass:
     "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE", help=".exr, .npz, .png or .ppm"
 )
 @click.option("--renderer", default="native-f64", show_default=True, metavar="NAME")
-@click.option("--passes", type=Names(), help="Passes to draw; default: beauty for an image, else all.")
+@names_option("--passes", help="Passes to draw; default: beauty for an image, else all.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
 def render(
@@ -765,9 +765,8 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
 @click.argument("x", type=Place(hint=XY))
 @click.argument("y", type=Place(hint=XY))
 @click.argument("more", nargs=-1, metavar="", callback=_nothing_more, expose_value=False)
-@click.option(
+@names_option(
     "--renderer",
-    type=Names(),
     help="Renderers to hold against truth; default: all. Those that cannot draw the scene, or not soon enough at its "
     "size, are listed as not drawn.",
 )
@@ -850,9 +849,8 @@ def explain(
     metavar="X Y",
     help="Prove this pixel: column and row, from 0 at the top left; may be repeated. Not with --pixels or --renderer.",
 )
-@click.option(
+@names_option(
     "--renderer",
-    type=Names(),
     help="Renderers to hold against the proved values; default: none. Not with --at or -o.",
 )
 @click.option(
@@ -999,7 +997,7 @@ def _check_memory(scenes: Mapping[str, Scene], pixels: int | None, settings: Set
 @click.option(
     "--first", type=Whole(), default=0, show_default=True, metavar="I", help="Begin with scene I of the seed."
 )
-@click.option("--renderer", type=Names(), help="What is under test; default: all that can run here.")
+@names_option("--renderer", help="What is under test; default: all that can run here.")
 @click.option("--against", default="native-f64", show_default=True, metavar="NAME", help="What each is compared with.")
 @click.option(
     "--jobs",
@@ -1123,7 +1121,7 @@ def convert(
 @whitted.command()
 @click.argument("a", type=click.Path(path_type=Path))
 @click.argument("b", type=click.Path(path_type=Path))
-@click.option("--passes", type=Names(), help="Passes to compare; default: all that both files have.")
+@names_option("--passes", help="Passes to compare; default: all that both files have.")
 @click.option(
     "--tolerance",
     type=float,

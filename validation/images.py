@@ -184,6 +184,9 @@ def _raw(data: bytes, at: int, size: tuple[int, int], maximum: int) -> Levels:
         if width == 2 and have == count:
             hint = f"a maximum of {maximum} takes two bytes for each sample, the higher one first"
         raise _ends_after(max(have, 0) // (3 * width), size, hint)
+    if have == need + 1 and data[at : at + 2] == b"\r\n":
+        hint = "one byte of white space ends the header, and CR LF are two: was it written in text mode?"
+        raise ImageError("its header ends in CR LF, so every sample would be off by a byte", hint)
     if have > need:
         if _is_text_mode(data, need):
             extra = f"{have - need} byte{'s'[: have - need > 1]} too many, a carriage return before each line feed"
@@ -192,8 +195,6 @@ def _raw(data: bytes, at: int, size: tuple[int, int], maximum: int) -> Levels:
             hint = numbers_hint if as_text else ""
             if width == 1 and have == 2 * need:
                 hint = f"a maximum of {maximum} takes one byte for each sample"
-            elif data[at : at + 2] == b"\r\n" and have == need + 1:
-                hint = "one byte of white space ends the header, and CR LF are two"
             raise ImageError(f"{_follow(have - need)} the last of {count // 3} pixels", hint)
     levels: Levels = np.frombuffer(data, np.uint8, count, start)
     if width == 2:

@@ -81,6 +81,16 @@ class Names(click.ParamType[tuple[str, ...]]):
         return tuple(dict.fromkeys(parts))
 
 
+def _together(_: click.Context, __: click.Parameter, values: tuple[tuple[str, ...], ...]) -> tuple[str, ...] | None:
+    names = tuple(dict.fromkeys(name for value in values for name in value))
+    return names or None
+
+
+def names_option(flag: str, **attributes: Any) -> Callable[[Function], Function]:
+    """A list of names; the option may be repeated, and all of its names count. None where there is none."""
+    return click.option(flag, type=Names(), multiple=True, callback=_together, **attributes)
+
+
 class Size(click.ParamType[tuple[int, int]]):
     """COLUMNSxROWS."""
 

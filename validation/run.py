@@ -618,6 +618,11 @@ def _compare(
     encodings = (encoding_of(first, a), encoding_of(second, b))
     judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
+    for side, encoding in zip((first, second), encodings, strict=True):
+        note = Note("", side.name, "an image is compared as the settings say: `whitted check` finds how it was made")
+        asked = result.about or not encoding or all(comparison.ok for comparison in found)
+        if not asked and side.name.startswith("cmd:") and note not in result.notes:
+            result.notes.append(note)
     judged = None
     if any(comparison.maps is not None and comparison.maps.over.any() for comparison in found):
         # Only now: python-flint and what builds on it are for where there is something to judge.

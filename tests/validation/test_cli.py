@@ -422,6 +422,18 @@ def test_renderers_as_json(run: Any, registered: Any) -> None:
     assert entries["native-f64"]["sources"]["beauty"] == {"how": "stock", "always": True}
 
 
+def test_names_of_a_repeated_option_count_all(run: Any, scene: Path) -> None:
+    result = run("validate", scene, "--renderer", "native-f32", "--renderer", "native-f64", "--against", "numpy-f64")
+    assert result.status == 0
+    assert "native-f32 against numpy-f64" in result.out
+    assert "native-f64 against numpy-f64" in result.out
+    alone = run("validate", scene, "--all-pairs", "--renderer", "native-f32")
+    assert (alone.status, alone.err) == (
+        2,
+        "error: --all-pairs: native-f32 alone makes no pair\n  hint: --renderer A,B names two\n",
+    )
+
+
 def test_who_delivers_which_pass(run: Any, registered: Any) -> None:
     class Some(Double):
         precision = "8-bit"

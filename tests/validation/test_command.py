@@ -13,7 +13,9 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
+import doubles
 import numpy as np
 import pytest
 
@@ -215,6 +217,17 @@ assert sorted(os.listdir("/proc/self/fd"), key=int)[:-1] == ["0", "1", "2"]
         assert not ignored & (1 << signal.SIGPIPE - 1 | 1 << signal.SIGXFSZ - 1)
 
 
+def test_validate_points_to_check_where_conventions_may_differ(run: Any, tmp_path: Path) -> None:
+    path = tmp_path / "scene.txt"
+    path.write_text(doubles.FULL, encoding="utf-8")
+    command = f"cmd:{shlex.quote(str(Path(sys.executable).parent / 'raytrace'))} {{scene}} --sample center"
+    arguments = ("validate", path, "--renderer", command, "--against", "native-f64", "--passes", "beauty")
+    told = run(*arguments, "--verdicts", "0")
+    assert told.status == 1
+    assert "`whitted check` finds how it was made" in told.out
+    assert "whitted check" not in run(*arguments, "--sample", "center").out
+
+
 class TestCommands:
     @pytest.mark.parametrize(
         ("template", "message", "hint"),
@@ -245,6 +258,12 @@ class TestCommands:
         right(drawn(f"Path({str(told)!r}).write_text(repr(sys.argv[2:]));{WRITE}", words))
         expected = ["$HOME", "*", ";", "|", "two words", "it's", "", "~nobody-of-that-name", "{"]
         assert told.read_text() == repr(expected)
+
+    @pytest.mark.parametrize("shell", ["cd a; ./mine {scene}", "./mine {scene} > {output}", "./mine {scene} | cat"])
+    def test_what_only_a_shell_understands_is_refused(self, shell: str) -> None:
+        with pytest.raises(TemplateError, match="means nothing here: there is no shell") as raised:
+            Command(f"cmd:{shell}")
+        assert raised.value.hint == "name a script that does all of it"
 
     def test_names_with_blanks_and_quotes(
         self, scene: Scene, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch

@@ -267,9 +267,10 @@ class TestFaults:
     def test_header_that_ends_in_cr_lf(self) -> None:
         data = p6(header="P6\r\n{} {}\r\n{}\r\n", levels=np.where(LEVELS == 0, 10, LEVELS))
         assert fault(data) == (
-            "1 byte follows the last of 20 pixels",
-            "one byte of white space ends the header, and CR LF are two",
+            "its header ends in CR LF, so every sample would be off by a byte",
+            "one byte of white space ends the header, and CR LF are two: was it written in text mode?",
         )
+        assert fault(data[:-1] + b"\n") == fault(data), "the byte too many may look like the end of a line"
 
     @pytest.mark.parametrize("write", [p3, p6])
     def test_a_sample_above_the_maximum(self, write: Any) -> None:

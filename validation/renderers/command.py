@@ -86,6 +86,10 @@ FILE_TOO_LARGE = os.strerror(errno.EFBIG).encode()
 CRASHES = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP, signal.SIGSYS)
 
 
+#: What only a shell understands.
+SHELL = ("|", "||", "&&", "&", ";", ">", ">>", "<", "2>", "2>&1")
+
+
 class TemplateError(RendererNameError):
     """A command that cannot be one."""
 
@@ -268,6 +272,10 @@ def _split(template: str) -> list[str]:
         if found not in (SCENE, OUTPUT):
             hint = f"the placeholders are {SCENE}, the scene file, and {OUTPUT}, the image"
             raise TemplateError(f"unknown placeholder '{found}' in the command", hint)
+    # In quotes they are words like others.
+    bare = re.sub(r"""'[^']*'|"(?:\\.|[^"\\])*\"""", "quoted", template).split()
+    if shell := next((word for word in bare if word in SHELL or word.endswith(";")), ""):
+        raise TemplateError(f"'{shell}' means nothing here: there is no shell", "name a script that does all of it")
     if SCENE in words[0] or OUTPUT in words[0]:
         raise TemplateError(f"the command begins with '{words[0]}', expected a program", example)
     if not any(SCENE in word for word in words):
