@@ -518,7 +518,7 @@ def _write_text(path: Path, text: str) -> None:
     metavar="FILE",
     help="The image (PPM or PNG) of the scene; of several scenes one each, in their order.",
 )
-@click.option("--command", "template", metavar="'CMD {scene}'", help="A program that draws the scenes: see below.")
+@click.option("--command", "template", metavar="'CMD {scene}'", help="A program that draws the scenes: see above.")
 @click.option(
     "--time-limit",
     type=Whole(1, hint="in seconds"),
