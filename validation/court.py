@@ -116,6 +116,8 @@ def _blaming(renderer: Renderer, rules: Sequence[Rule]) -> Iterator[None]:
     theirs = {type(renderer).__module__}
     for rule in rules:
         theirs |= {getattr(code, "__module__", "") for code in (rule.follower, rule.choices, rule.settings)}
+    # What a rule leaves as it is by default is ours.
+    theirs -= {Follower.__module__, Rule.__module__}
     try:
         yield
     except NOWHERE:

@@ -701,6 +701,25 @@ def late(*_: Any) -> Any:
     return [court.Rule("fails late", follower=Late)]
 
 
+def our_fault(*_: Any) -> Any:
+    raise TypeError("a fault of ours")
+
+
+def test_what_fails_in_our_own_code_is_not_blamed_on_rules(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a renderer that has rules, which leave some of our code as it is."""
+    double = Double(draw=with_scene(moved))
+    judge, of = Court(full(), Settings(), analysis(full())), side(double, full())
+    off = np.abs(of.passes["beauty"] - drawn(full())["beauty"]).max(axis=-1)
+    y, x = (int(index) for index in np.unravel_index(off.argmax(), off.shape))
+    truth = judge.truth(x, y)
+    monkeypatch.setattr(Follower, "begins", our_fault)
+    with (
+        mock.patch.object(double, "rules", return_value=[court.Rule("does as it should")], create=True),
+        pytest.raises(TypeError, match="a fault of ours"),
+    ):
+        judge.find(truth, of, tuple(of.passes))
+
+
 @pytest.mark.parametrize("rules", [broken, no_follower, no_choice, late])
 def test_rules_that_fail_are_the_renderers_failure(rules: Callable[..., Any]) -> None:
     """The comparisons are kept, the program ends with status 3."""
