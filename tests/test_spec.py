@@ -11,6 +11,7 @@ import subprocess
 import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -494,6 +495,44 @@ def test_a_light_on_a_surface_is_seen_whatever_the_rounding(renderer: Renderer) 
     without = renderer.draw(wall.replace(spheres=[wall.spheres[0]]), ["diffuse", "shadow.L0"])
     assert (without["diffuse"] > 0).sum() > 500
     assert (drawn["diffuse"] == without["diffuse"]).all()
+
+
+def beside(sphere: Sphere, seed: int) -> list[tuple[Vec3, int]]:
+    """Lights that lie on a sphere but for the rounding of their coordinates, and their exact sides: 1 outside."""
+    way = np.random.default_rng(seed).normal(size=3)
+    place = np.array(sphere.position) + np.array(sphere.scaling) * way / np.linalg.norm(way)
+    found = []
+    for steps in (-2, 0, 2):
+        light = place + steps * np.spacing(np.abs(place)) * np.sign(way)
+        numbers = zip(light.tolist(), sphere.position, sphere.scaling, strict=True)
+        form = sum(((Fraction(p) - Fraction(c)) / Fraction(s)) ** 2 for p, c, s in numbers) - 1
+        found.append((tuple(light.tolist()), (form > 0) - (form < 0)))
+    assert {-1, 1} <= {side for _, side in found}
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_light_beside_a_surface_is_where_its_numbers_say(renderer: Renderer, seed: int) -> None:
+    # From all of the inside of a room a light is hidden that is outside, if only by a rounding.
+    room = ball((0.1, 0.3, -10.1), (5.3, 4.9, 5.1))
+    for light, side in beside(room, seed):
+        drawn = renderer.draw(Scene(view=grid(near=9, size=2), spheres=[room], lights=[lamp(light)]), ["shadow.L0"])
+        assert (drawn["shadow.L0"] == (side <= 0)).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sphere_hides_a_light_just_inside_it(renderer: Renderer, seed: int) -> None:
+    # From before the light's tangent plane the way enters the sphere there: so it hides a light that is inside.
+    wall, lantern = ball((0, 0, -26.1), 20), ball((0.3, 0.2, 0.1), (0.7, 0.9, 0.8))
+    for light, side in beside(lantern, seed):
+        scene = Scene(view=grid(), spheres=[wall, lantern], lights=[lamp(light)])
+        drawn = renderer.draw(scene, ["position", "shadow.L0"])
+        without = renderer.draw(scene.replace(spheres=[wall]), ["shadow.L0"])["shadow.L0"]
+        gradient = (np.array(light) - lantern.position) / np.array(lantern.scaling) ** 2
+        before = (drawn["position"].astype(float) - light) @ gradient
+        clear = np.abs(before) > 1e-3
+        assert clear.sum() > 500
+        assert (drawn["shadow.L0"] == without * (before > 0) * (side >= 0))[clear].all()
 
 
 def test_a_light_at_the_hit_adds_nothing_and_counts_as_visible(renderer: Renderer) -> None:

@@ -41,13 +41,14 @@ from tracer.reference import (
     Surface,
     Tables,
     bands,
-    between,
     check,
     chord,
     dot,
     eye_rays,
+    hides,
     incidence,
     other_root,
+    own_hides,
     pick,
     to_unit_space,
     trace,
@@ -323,7 +324,7 @@ class Band:
         goes = {kind: np.zeros(count) for kind in ("silhouette", "range")}
         goes_any = np.zeros(count)
         for j in self.tables.distinct:
-            own, on = x.start == j, self.tables.light_on[j, light]
+            own, on = x.start == j, self.tables.light_side[j, light] == 0
             origin, direction = to_unit_space(self.tables, x, to_light, j)
             blocks, found = np.zeros(count, bool), {kind: np.full(count, np.inf) for kind in comes}
             # From the outside a sphere never hides a light that it faces, nor a light that lies on it from its points.
@@ -364,7 +365,7 @@ class Segments:
         """`limit`: margins above it do not count."""
         self.sphere, self.beam, self.limit = sphere, beam, limit
         self.origin, self.direction = origin, direction
-        self.on = bool(band.tables.light_on[sphere, light])
+        self.side = int(band.tables.light_side[sphere, light])
         self.p, self.c = band.light[:, light : light + 1], band.position[:, sphere : sphere + 1]
         self.s = band.tables.scaling[:, sphere : sphere + 1]
 
@@ -381,15 +382,15 @@ class Segments:
     def of_other(self, epsilon: float) -> tuple[Flags, Real, Real]:
         """Whether a sphere hides the light from points of other ones; the margins of the outline and of both ends."""
         o, d = self.origin, self.direction
-        if self.on:
+        blocks = hides(o, d, self.side, epsilon)
+        if self.side == 0:
             # The roots are 1, which does not hide, and, by their product, c / a.
             a, c = dot(d, d), dot(o, o) - 1
             ends = np.minimum(*(self.margin(c - end * a, 2 * o, -2 * end * d) for end in (epsilon, 1.0)))
-            return between(epsilon, c / a), np.full_like(ends, np.inf), ends
+            return blocks, np.full_like(ends, np.inf), ends
         line = chord(o, d)
-        blocks = line.meets & (between(epsilon, line.near) | between(epsilon, line.far))
         y, middle = o + epsilon * d, line.height / line.speed
-        starts_inside, (ends_inside, end) = dot(y, y) < 1, self.light_end()
+        starts_inside, ends_inside, end = dot(y, y) < 1, self.side < 0, self.light_end()
         # The start counts where the line leaves the sphere there, or leads to a light inside; ...
         ends = self.margin((dot(y, y) - 1) / 2, y, epsilon * y, (dot(y, d) > 0) | ends_inside)
         # ... the light's end where the line enters there, or starts inside.
@@ -398,26 +399,26 @@ class Segments:
         over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
         y = line.middle
         # A light just inside, on a chord so short that the line may miss all of it, counts too.
-        outside = ~starts_inside & ((not ends_inside) | (middle < 1))
+        outside = ~starts_inside & (not ends_inside or middle < 1)
         outline = self.margin((dot(y, y) - 1) / 2, y, middle * y, over & outside)
         return blocks, outline, ends
 
     def of_own(self, epsilon: float) -> tuple[Flags, Real, Real]:
         """The same from points of the sphere's inside, which start from x in unit space."""
         n, d = self.origin, self.direction
-        t, (_, end) = other_root(n, d), self.light_end()
+        t, end = other_root(n, d), self.light_end()
         # t > epsilon: -2 n.d - epsilon d.d
         start = self.margin(-2 * dot(n, d) - epsilon * dot(d, d), -2 * d, -2 * (n + epsilon * d))
-        blocks = between(epsilon, t)
+        blocks = own_hides(n, d, self.side, epsilon)
         ends = np.where(blocks, np.minimum(start, end), np.where(t > epsilon, end, start))
         return blocks, np.full_like(ends, np.inf), ends
 
-    def light_end(self) -> tuple[bool, float]:
-        """Whether the light is inside the sphere, and the margin of that."""
+    def light_end(self) -> float:
+        """The margin of the side of the surface that the light is on."""
         y, lengths = (self.p - self.c) / self.s, np.abs(self.p) + np.abs(self.c)
         gap, g = (dot(y, y) - 1) / 2, y / self.s
         moves = dot(np.abs(g), lengths) + dot(y, y) + rounding(g, lengths) / DECISION
-        return bool(gap[0] < 0), float(ratio(gap, moves)[0])
+        return float(ratio(gap, moves)[0])
 
 
 def view_moves(view: View, direction: Real) -> Real:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,6 +52,19 @@ def pick(table: Real, index: Index) -> Real:
     return np.take(table, index, axis=-1, mode="wrap")
 
 
+def light_sides(light: Real, position: Real, scaling: Real) -> NDArray[np.int8]:
+    """The signs of |(p - p_j) / s_j|^2 - 1: in float64 where that is certain, else in fractions; a row a sphere."""
+    place = (light[:, None, :] - position[:, :, None]) / scaling[:, :, None]
+    squared = (place**2).sum(axis=0)
+    sides: NDArray[np.int8] = np.sign(squared - 1).astype(np.int8)
+    # Each of the squares is off by 5 roundings at most, and each of the sums by one.
+    for j, i in np.argwhere(np.abs(squared - 1) <= 2.0**-50 * (1 + squared)):
+        columns = zip(light[:, i].tolist(), position[:, j].tolist(), scaling[:, j].tolist(), strict=True)
+        form = sum(((Fraction(p) - Fraction(c)) / Fraction(s)) ** 2 for p, c, s in columns)
+        sides[j, i] = (form > 1) - (form < 1)
+    return sides
+
+
 class Tables:
     """The numbers of a scene in the precision of the rendering. Differences of positions are taken in float64."""
 
@@ -71,9 +85,8 @@ class Tables:
         # between[j]: from the centre of sphere j to each start; toward[i]: from each start to light i.
         self.between = [(start - position[:, j : j + 1]).astype(real) for j in range(len(spheres))]
         self.toward = [(light[:, i : i + 1] - start).astype(real) for i in range(len(lights))]
-        # A light on a surface, as far as float64 can tell: |(p - p_j) / s_j|^2 is off by at most 8 roundings of 2^-53.
-        place = (light[:, None, :] - position[:, :, None]) / scaling[:, :, None]
-        self.light_on = np.abs((place**2).sum(axis=0) - 1) <= 8 * 2.0**-53
+        # On which side of each surface each light is, exactly: -1 inside, 0 on it, 1 outside. Row: sphere.
+        self.light_side = light_sides(light, position, scaling)
 
         # Spheres that reach the image plane (|y_z| = 1.25 is beyond f = WIDEST), and their part of f's rounding bound.
         view = scene.view
@@ -226,20 +239,35 @@ def hidden(tables: Tables, x: Rays, to_light: Real, light: int, epsilon: float) 
     for j in tables.distinct:
         origin, direction = to_unit_space(tables, x, to_light, j)
         own = x.start == j
-        if tables.light_on[j, light]:
-            # The roots are 1, which does not hide, and the other one, by their product. On x's own sphere: 1 and 0.
-            t = (dot(origin, origin) - 1) / dot(direction, direction)
-            found |= ~own & (epsilon < t) & (t < 1)
-            continue
-        line = chord(origin, direction)
-        found |= ~own & line.meets & (between(epsilon, line.near) | between(epsilon, line.far))
-        found |= own & between(epsilon, other_root(x.point, direction))
+        side = tables.light_side[j, light]
+        found |= np.where(own, own_hides(x.point, direction, side, epsilon), hides(origin, direction, side, epsilon))
     return found
 
 
-def between(epsilon: float, t: Real) -> Flags:
-    """Between the shadow epsilon and the light."""
-    return (t > epsilon) & (t < 1)
+def hides(origin: Real, direction: Real, side: int, epsilon: float) -> Flags:
+    """Whether the unit sphere has a root epsilon < t < 1 on lines to a light at t = 1, on that side of its surface.
+
+    As the side is known, no root is held against 1, where rounding could take it to the wrong side of the light.
+    """
+    if side == 0:
+        # The roots are 1, which does not hide, and the other one, by their product.
+        t = (dot(origin, origin) - 1) / dot(direction, direction)
+        between: Flags = (t > epsilon) & (t < 1)
+        return between
+    line = chord(origin, direction)
+    if side < 0:
+        # The way to a light inside enters, unless it starts inside.
+        enters: Flags = line.near > epsilon
+        return enters
+    # Both roots are before a light outside where their middle is, or both behind it.
+    passes: Flags = line.meets & (line.far > epsilon) & (line.near + line.far < 2)
+    return passes
+
+
+def own_hides(point: Real, direction: Real, side: int, epsilon: float) -> Flags:
+    """The same of the sphere that the lines start on, whose other root is before every light outside."""
+    meets: Flags = (other_root(point, direction) > epsilon) & (side > 0)
+    return meets
 
 
 @dataclass

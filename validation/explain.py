@@ -277,6 +277,7 @@ def decision(scene: Scene, key: Key) -> str:
             "start": f"{sphere} and the start of the shadow ray to {light}",
             "end": f"{sphere} and the end of the shadow ray to {light}",
             "at": f"whether {light} is at the point itself",
+            "side": f"on which side of the surface of {sphere} {light} is",
             "faces": f"the sign of N.L of {light} on {sphere}",
             "shines": f"the sign of R.V of {light} on {sphere}",
         }[key.what] + at
@@ -304,6 +305,7 @@ def evenness(scene: Scene, key: Key, settings: Settings) -> str:
         "faces": f"N.L is exactly 0 for {line.removeprefix('the shadow ray to ')}",
         "shines": f"R.V is exactly 0 for {line.removeprefix('the shadow ray to ')}",
         "at": f"{line.removeprefix('the shadow ray to ')} is exactly at the point",
+        "side": f"{line.removeprefix('the shadow ray to ')} is exactly on {sphere}",
     }[key.what]
 
 

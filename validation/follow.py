@@ -36,6 +36,7 @@ class Key(NamedTuple):
     faces   N.L > 0
     shines  R.V > 0
     at      the light is not at x itself
+    side    the light is outside the sphere: as it is seen from a hit, for rounding is another one at each
     """
 
     what: str
@@ -51,6 +52,7 @@ KINDS = {
     "start": "range",
     "end": "range",
     "at": "range",
+    "side": "range",
     "order": "order",
     "faces": "terminator",
     "shines": "terminator",
@@ -155,11 +157,10 @@ class Tables:
         self.position = [several(p) for p in position]
         self.w = [several(w) for w in weight]
         self.light = [several(numbers.vector(f"l{i}.position")) for i in range(lights)]
-        self.side = {
-            (j, i): 0 if (j, i) in structure.light_on else sign_of(_light_side(numbers, j, i))
-            for j in self.distinct
-            for i in range(lights)
-        }
+        forms = {(j, i): _light_side(numbers, j, i) for j in self.distinct for i in range(lights)}
+        self.side = {key: 0 if key in structure.light_on else sign_of(form) for key, form in forms.items()}
+        # The same as numbers, where whoever asks may take a light to the other side.
+        self.sided = {key: lift(form) for key, form in forms.items()}
         # The eye stands at the origin: m = -p, and f there.
         from_centre = [tuple(-a for a in p) for p in position]
         self.eye = [
@@ -423,6 +424,8 @@ class Follower:
         """Whether sphere j has a root epsilon < t < 1 on the way to the light."""
         tables, sign, epsilon, bounce, own = self.tables, self.sign, self.epsilon, hit.bounce, j == hit.sphere
         side = tables.side[j, i]
+        if side and not self.hurries:
+            side = sign(tables.sided[j, i], "side", bounce, i, j)
         if own and side <= 0:
             return False  # the other root is the light, or behind it
         lx, ly, lz = to_light

@@ -211,8 +211,9 @@ def test_tangents_are_explained(renderer: Povray, root: Path) -> None:
 
 def test_light_on_a_surface_does_not_depend_on_other_pixels(renderer: Povray) -> None:
     """The root at the light is off by rounding: an opaque sphere that POV-Ray remembers would hide half the light."""
-    center, size = np.array((0.3, 0.1, -4)), np.array((0.9, 1.1, 0.7))
-    place = center + size * (-0.62, 0.33, (1 - 0.62**2 - 0.33**2) ** 0.5)
+    # Exactly on it: (-2, 1, 2) / 3 of the scaling.
+    center, size = np.array((0.3125, 0.125, -4)), np.array((0.9375, 1.125, 0.75))
+    place = center + size / 3 * (-2, 1, 2)
     ball, floor = sphere(tuple(center.tolist()), *size.tolist()), sphere((0, -51.5, -4), 50)
     one = scene([ball, floor], [light(*place.tolist())], view(60, 60, half=0.8))
     drawn = renderer.render(one, ["shadow.L0"], Settings())["shadow.L0"]

@@ -27,7 +27,7 @@ struct SphereConstants {
     bool lit;                       // Kd or Ks is not 0
     bool specular;                  // Ks is not 0
     const Real *light_terms;        // a light's Kd Ip (three) and Ks Ip (three), one light after the other
-    const unsigned char *light_on;  // whether a light lies on this sphere's surface
+    const std::int8_t *light_sides;  // of each light: -1 inside this sphere, 0 on it, 1 outside, exactly
 };
 
 template <class Real>

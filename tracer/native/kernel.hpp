@@ -182,29 +182,35 @@ struct Kernel {
         return nearest;
     }
 
-    // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1.
+    // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
+    // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
     static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
                                        Vec to_light, Lanes asked) {
         const P epsilon(scene.shadow_epsilon);
-        const auto between = [&](P t) { return (t > epsilon) & (t < P(one)); };
         Lanes found = Lanes::none();
         for (std::size_t j = 0; j < scene.sphere_count; ++j) {
             const SphereConstants<Real> &sphere = scene.spheres[j];
+            const int side = sphere.light_sides[light];
             const Vec d = to_light * broadcast(sphere.inverse_scale);
             if (j == x.sphere) {
-                // The roots are 0 and the other one, which is 1 when the light lies on this sphere too.
-                if (sphere.light_on[light]) continue;
-                found = found | between(P(Real(-2)) * dot(x.n, d) / dot(d, d));
+                // The roots are 0 and the other one, which is before the light where that is outside.
+                if (side <= 0) continue;
+                found = found | (P(Real(-2)) * dot(x.n, d) / dot(d, d) > epsilon);
             } else {
                 const Vec o = seen_from(scene, x, j);
                 const P distance_squared = dot(o, o);
                 const P c = distance_squared - P(one);
-                if (sphere.light_on[light]) {
-                    // The roots are 1 and, by their product c/a, the other one.
-                    found = found | between(c / dot(d, d));
+                if (side == 0) {
+                    // The roots are 1, which does not hide, and, by their product c/a, the other one.
+                    const P other = c / dot(d, d);
+                    found = found | ((other > epsilon) & (other < P(one)));
                 } else {
                     const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
-                    found = found | (roots.real & (between(roots.near_t) | between(roots.far_t)));
+                    // The light is inside: the way there enters, unless it starts inside. It is outside: both roots
+                    // are before it where their middle is, or both behind it.
+                    found = found | (side < 0 ? roots.near_t > epsilon
+                                              : roots.real & (roots.far_t > epsilon) &
+                                                    (roots.near_t + roots.far_t < P(Real(2))));
                 }
             }
             if (!any(asked & !found)) break;

@@ -16,6 +16,7 @@
 #include <thread>
 
 #include "constants.hpp"
+#include "light_side.hpp"
 #include "ppm.hpp"
 
 namespace whitted {
@@ -70,24 +71,8 @@ const Kernels *choose(std::string &problem) {
 }
 
 template <class Real>
-constexpr Real unit_roundoff = sizeof(Real) == 8 ? Real(0x1p-53) : Real(0x1p-24);
-
-template <class Real>
 void narrow(Real (&to)[3], const Vec3 &from) {
     for (int k = 0; k < 3; ++k) to[k] = static_cast<Real>(from[static_cast<std::size_t>(k)]);
-}
-
-bool on_surface(const Sphere &sphere, const Light &light) {
-    double power = -1;
-    double size = 1;
-    for (std::size_t k = 0; k < 3; ++k) {
-        const double q = (light.position[k] - sphere.position[k]) / sphere.scaling[k];
-        // The rounding of light - centre, in the sphere's units.
-        const double lost = (std::abs(light.position[k]) + std::abs(sphere.position[k])) / std::abs(sphere.scaling[k]);
-        power += q * q;
-        size += std::abs(q) * lost;
-    }
-    return std::abs(power) <= 8 * unit_roundoff<double> * size;
 }
 
 // The image plane, for a sphere: whether there is anything to decide there, and its part of the rounding bound.
@@ -202,7 +187,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     std::vector<SphereConstants<Real>> spheres;
     std::vector<LightConstants<Real>> lights;
     std::vector<Real> light_terms;
-    std::vector<unsigned char> light_on;
+    std::vector<std::int8_t> light_sides;
     SceneConstants<Real> scene{};
     TraceSpan<Real> trace;
 
@@ -212,7 +197,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         const std::vector<std::size_t> distinct = from.distinct();
         const std::size_t light_count = from.lights.size();
         light_terms.reserve(distinct.size() * light_count * 6);
-        light_on.reserve(distinct.size() * light_count);
+        light_sides.reserve(distinct.size() * light_count);
         spheres.reserve(distinct.size());
 
         for (const Light &light : from.lights) {
@@ -248,12 +233,12 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             to.lit = sphere.kd != 0 || sphere.ks != 0;
             to.specular = sphere.ks != 0;
             to.light_terms = light_terms.data() + light_terms.size();
-            to.light_on = light_on.data() + light_on.size();
+            to.light_sides = light_sides.data() + light_sides.size();
             for (const Light &light : from.lights) {
                 for (const double k : {sphere.kd, sphere.ks})
                     for (const double intensity : light.intensity)
                         light_terms.push_back(static_cast<Real>(k * intensity));
-                light_on.push_back(on_surface(sphere, light));
+                light_sides.push_back(static_cast<std::int8_t>(light_side(sphere, light)));
             }
             spheres.push_back(to);
         }

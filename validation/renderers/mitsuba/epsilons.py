@@ -333,7 +333,7 @@ class Chains:
                 # One root is the start itself; a light on the surface does not hide itself.
                 other = -2 * B / A
                 blocks = np.where(own, (other > begins) & (other < ends), blocks)
-                if self.tables.light_on[j, i]:
+                if self.tables.light_side[j, i] == 0:
                     blocks = ~own & (begins < C / A) & (C / A < 1)
             blocks &= facing & ~(own & ~inside)
             found |= blocks
@@ -356,7 +356,7 @@ class Chains:
                 # A light is where it is, from wherever it is seen.
                 lengths = np.abs(self.light[:, i : i + 1]) if what == "end" else np.abs(origin) + np.abs(t * direction)
                 moves, slack = self.moves(y, lengths, j), np.zeros(own.size)
-                if what == "end" and self.tables.light_on[j, i]:
+                if what == "end" and self.tables.light_side[j, i] == 0:
                     # It is met at 1, before that if C < A, and by these rays if C is less than that part of A.
                     by = np.abs(o / scaling[:, None]) + np.abs(d / scaling[:, None])
                     value = np.where(own, value, (C - A) / 2)

@@ -200,7 +200,7 @@ class _Losses:
                     x.pixel,
                     np.where(facing & ((line.middle**2).sum(axis=0) < 4), (origin**2).sum(axis=0), 0),
                 )
-                if tables.light_on[j, light]:
+                if tables.light_side[j, light] == 0:
                     roots = [((origin**2).sum(axis=0) - 1) / (direction**2).sum(axis=0)]
                     meets = ~own
                 else:
@@ -240,9 +240,9 @@ class _Losses:
 def untold(scene: Scene) -> tuple[int, ...]:
     """Lights so near to a surface that POV-Ray's epsilon decides on which side of it they are, seen from anywhere.
 
-    Not those that lie on it, as far as float64 can tell: a surface does not hide these, and for POV-Ray neither.
+    Not those that lie on it: a surface does not hide these, and for POV-Ray neither.
     """
-    unit, on = converter.unit(scene), reference.Tables(scene, np.float64).light_on
+    unit, on = converter.unit(scene), reference.Tables(scene, np.float64).light_side == 0
     spheres, found = list(zip(scene.distinct, converter.distinct(scene), strict=True)), []
     for index, light in enumerate(scene.lights):
         for j, sphere in spheres:
