@@ -22,6 +22,8 @@ from validation.renderers.mitsuba import MitsubaSpec, llvm
 from validation.renderers.mitsuba.driver import RETRIES, Driver, Start
 from validation.renderers.mitsuba.engines import Arrays, Hits, Loop
 from validation.renderers.mitsuba.precision import SLACK, UNIT_ROUNDOFF
+from validation.run import validate
+from validation.truth import Prover
 
 pytestmark = pytest.mark.mitsuba
 
@@ -272,6 +274,50 @@ def test_flat_rays_inside_a_sphere_are_uncertain(renderer: MitsubaSpec) -> None:
     assert 0 < doubtful.sum() < 100
     assert np.all(np.asarray(uncertain.terminator)[~doubtful] == 32 * UNIT_ROUNDOFF)
     agree(renderer, shell)
+
+
+#: A light on the pole of the ball in the middle, and the ball beside it, near the plane that touches there.
+POLE = scene(
+    [sphere((0, 0, -4), 1), sphere((3, 1, -4), 1)],
+    [light(0, 1, -4)],
+    View(near=1, left=0.4995, right=0.5005, bottom=0.24, top=0.26, columns=10, rows=200),
+)
+
+
+def test_short_chords_at_a_light_are_uncertain(renderer: MitsubaSpec) -> None:
+    """Seen so flatly all of the ball before the light is nearer to it than SLACK, across the surface."""
+    found = agree(renderer, POLE)
+    exact = reference.render(POLE, ("shadow.L0", "id"))
+    assert np.all(exact["id"] == 1)
+    differ = (exact["shadow.L0"] != found["shadow.L0"]) & margins.analyse(POLE).lit[0]
+    assert differ.sum() > 20
+    claims = renderer.uncertainty(POLE, Settings())
+    either = np.isinf(np.asarray(claims.range))
+    assert either[differ].all()
+    assert either.mean() < 0.25
+    assert np.isfinite(np.asarray(claims.range)[~either]).all()
+    # Rounding is not what does it.
+    for y, x in np.argwhere(differ)[::10]:
+        rule = renderer.rules(POLE, Settings())[-1]
+        assert rule.choices is not None
+        seen = [
+            Prover(POLE, follower=follower).pixel(int(x), int(y), ties=False).values["shadow.L0"][0].value
+            for follower in rule.choices(int(x), int(y))
+        ]
+        assert seen == [found["shadow.L0"][y, x]]
+    (judgement,) = validate({"pole": POLE}, "native-f64", renderer, passes=("shadow.L0",), verdicts=8).verdicts
+    assert judgement.explained
+    assert {entry.reference.cause for entry in judgement.verdicts} == {"rule"}
+
+
+def test_lights_off_surfaces_are_certain() -> None:
+    """Neither just beside one, nor on it where rays come in steeply."""
+    beside = POLE.replace(lights=[light(0, 1.01, -4)])
+    steep = scene([sphere((0, 0, -4), 1), sphere((0, 3, -4), 1)], list(POLE.lights))
+    for drawn in (beside, steep):
+        claims = MitsubaSpec("llvm").uncertainty(drawn, Settings())
+        assert claims.range == 32 * UNIT_ROUNDOFF + SLACK
+        assert claims.silhouette == 32 * UNIT_ROUNDOFF
 
 
 def test_errors_grow_where_mirrors_are_flat_inside() -> None:

@@ -202,7 +202,7 @@ def test_chains_end_where_the_reference_has_it(stocked: MitsubaStock) -> None:
         assert not count[ends].any()
         centers = np.array([entry.position for entry in drawn.spheres])[ids]
         radii = np.array([entry.scaling[0] for entry in drawn.spheres])[ids][..., None]
-        known = epsilons.LOOKUP * epsilons.UNIT_ROUNDOFF * (np.abs(seen["position"]) + np.abs(centers) + 4 * radii)
+        known = epsilons.LOOKUP * precision.UNIT_ROUNDOFF * (np.abs(seen["position"]) + np.abs(centers) + 4 * radii)
         off = np.abs(position - seen["position"])
         assert np.all(off[ends] <= known[ends])
         assert (off / known)[ends].max() > 0.02
@@ -470,7 +470,7 @@ def test_what_mirrors_show_is_claimed_of_the_passes_that_show_it() -> None:
             if claim is claims[MitsubaStock]:
                 assert np.all(color[analysis.ids > 1] == exact.absolute_of(name))
     # What is lost with the falloff of lights is stock's alone.
-    rounded = 8 * epsilons.UNIT_ROUNDOFF * path.brightest(PURE, Settings())
+    rounded = 8 * precision.UNIT_ROUNDOFF * path.brightest(PURE, Settings())
     looked_up = np.asarray(claims[MitsubaStock].absolute_of("beauty"))
     plain = np.asarray(claims[MitsubaPath].absolute_of("beauty")) - rounded
     lit = (analysis.ids == 0) & (plain > 1e-9)
@@ -529,7 +529,7 @@ def test_the_chain_by_the_specification_is_the_reference(drawn: Scene) -> None:
 def test_the_chain_by_the_epsilons_is_the_rule(drawn: Scene) -> None:
     """The arrays that claims come from and the follower that verdicts come from are two writings of one thing."""
     _, _, _, moved = changed(drawn)
-    (rule,) = epsilons.rules(drawn, Settings(), float32_roots=False)
+    rule, *_ = epsilons.rules(drawn, Settings(), float32_roots=False)
     prover = Prover(drawn, follower=rule.follower)
     chance = random.Random(1)
     columns = drawn.view.columns
@@ -557,6 +557,89 @@ def test_where_epsilons_decide_otherwise_is_an_edge_and_elsewhere_colours_are_cl
     assert np.all(off[~edge] <= color[~edge] * (1 + 1e-12))
     # No excuse for an image: few pixels claim more than roundings, but where the whole floor is dark by 0.0007.
     assert edge.mean() < 0.05 or drawn.lights == LATE.lights
+
+
+def mirrors_apart(ambient: float, *, frame: View, **scalings: tuple[tuple[float, ...], ...]) -> Scene:
+    """Mirrors that shine by themselves, each so much more than the one before."""
+    spheres = [
+        sphere((x, y, z), *sizes, ka=ambient * (k + 1), kd=0, kr=1, color=(1, 1, 1))
+        for k, ((x, y, z), sizes) in enumerate(scalings.values())
+    ]
+    return scene(spheres, [], frame)
+
+
+#: Thin lenses that cross, seen from inside: near their rims a ray goes to and fro, and a step grows a hundredfold.
+LENSES = mirrors_apart(
+    0.3,
+    frame=View(near=0.02, left=-0.28, right=0.25, bottom=0.3, top=0.8, columns=40, rows=40),
+    thin=((0, 0, 0), (1, 0.7, 0.02)),
+    ball=((-1.25, 0, 0), (1.5, 1.5, 1.5)),
+    thick=((0, 0.25, -0.04), (0.7, 1, 0.03)),
+)
+#: Of these, one of the pixels is shown a lens that lies behind its ray by the specification: no quantity is near 0.
+RIMS = mirrors_apart(
+    0.3,
+    frame=View(near=1.28, left=-18, right=32, bottom=-2, top=48, columns=25, rows=25),
+    wide=((-16, 0, 1.28), (62.72, 160, 2.56)),
+    narrow=((0, 16, -2.56), (44.8, 64, 1.92)),
+)
+
+
+@pytest.mark.parametrize("drawn", [LENSES, RIMS], ids=["lenses", "rims"])
+def test_steps_that_grow_from_mirror_to_mirror_are_claimed(paths: MitsubaPath, drawn: Scene) -> None:
+    """As far as they come, and where no quantity says that two chains of rays part, the nearest decision does."""
+    claims, analysis, exact, moved = changed(drawn)
+    edge = np.any([analysis.margins[kind] < getattr(claims, kind) for kind in MARGINS], axis=0)
+    parted = np.zeros(edge.size, bool)
+    for a, b in zip(exact, moved, strict=False):
+        parted |= a.sphere != b.sphere
+    assert parted.sum() > 10
+    assert edge.ravel()[parted].all()
+    assert not edge.all()
+    if drawn is LENSES:
+        # Mostly it is another hit that is nearer, and that is what is claimed.
+        assert np.mean((analysis.margins["order"] < claims.order).ravel()[parted]) > 0.9
+    passes = ("beauty", "reflection.2", "reflection.3")
+    expected, found = reference.render(drawn, passes), paths.render(drawn, passes, Settings())
+    differ = np.any([np.abs(expected[name] - found[name]).max(axis=-1) > 0.01 for name in passes], axis=0)
+    assert differ.sum() > 10
+    assert edge[differ].all()
+
+
+#: The ray in the middle touches the slim ball, exactly also in float32, and goes on to the inside of the other.
+TOUCHED = scene(
+    [
+        sphere((0.25, 0, -0.75), 0.25, 0.65, 0.5, ka=0, kd=0.5, kr=0.5),
+        sphere((0, -0.25, -0.5), 0.4, 0.8, 0.6, kd=0.5, kr=1),
+    ],
+    [light(0, 0, 0)],
+    View(near=0.5, left=-2 / 3, right=2 / 3, bottom=-0.5, top=0.5, columns=40, rows=30),
+)
+
+
+def test_a_ray_that_touches_may_go_on_inside(need: Need) -> None:
+    """The rounded normal of the touched point looks away: the mirrored ray starts a step within the ball."""
+    renderer = ready(MitsubaPath("llvm"), need)
+    passes = ("id", "normal", "diffuse", "reflection.1", "reflection.2", "reflection.3")
+    found = renderer.render(TOUCHED, passes, Settings())
+    beside, _, turned = renderer.rules(TOUCHED, Settings())
+    assert turned.choices is not None
+
+    def made(follower: Any) -> bool:
+        values = Prover(TOUCHED, follower=follower).pixel(20, 15, ties=False).values
+        return all(
+            np.atleast_1d(found[name][15, 20]) == pytest.approx([ball.value for ball in values[name]], abs=1e-3)
+            for name in passes
+        )
+
+    assert not made(beside.follower)
+    (follower,) = turned.choices(20, 15)
+    assert made(follower)
+    # Beside an outline alone.
+    assert not list(turned.choices(22, 15))
+    (judgement,) = judged(renderer, TOUCHED).verdicts
+    assert judgement.explained
+    assert any("rounded normal" in entry.reference.because for entry in judgement.verdicts)
 
 
 def test_a_ball_all_behind_the_end_of_shadow_rays_is_an_edge(stocked: MitsubaStock) -> None:
@@ -617,8 +700,9 @@ def test_own_decisions_of_float32_are_a_rule_of_their_own() -> None:
     """A small ball far from the floor that it shades: the plain quadratic cannot tell its outline there."""
     ball = sphere((0, 30, -6), 0.05)
     drawn = scene([sphere((0, -3, -6), 4, 1, 4), ball], [light(0, 31, -6)], view(400, 400, half=0.8))
-    assert len(epsilons.rules(drawn, Settings(), float32_roots=False)) == 1
-    beside, blurred = epsilons.rules(drawn, Settings(), float32_roots=True)
+    scalar = [rule.says for rule in epsilons.rules(drawn, Settings(), float32_roots=False)]
+    beside, blurred, turned = epsilons.rules(drawn, Settings(), float32_roots=True)
+    assert scalar == [beside.says, turned.says]
     assert blurred.choices is not None
     exact = reference.render(drawn, ("shadow.L0", "id"))
     outline = (exact["id"] == 0) & (np.abs(np.diff(exact["shadow.L0"], axis=1, prepend=0)) > 0)

@@ -17,9 +17,12 @@ docs/tolerances.md derives what follows from float32.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from converters import mitsuba as converter
 from tracer.passes import Passes, names
@@ -27,7 +30,7 @@ from validation.renderers import Renderer, Settings, Uncertainty
 from validation.renderers.mitsuba import llvm, path, stock
 from validation.renderers.mitsuba.driver import Driver
 from validation.renderers.mitsuba.engines import Arrays, Engine, Loop
-from validation.renderers.mitsuba.precision import flat_chords, uncertainty
+from validation.renderers.mitsuba.precision import at_lights, flat_chords, passed_over, uncertainty
 from validation.renderers.mitsuba.variants import VARIANTS, Variant
 
 if TYPE_CHECKING:
@@ -68,11 +71,23 @@ class MitsubaSpec(Variant):
     def uncertainty(self, scene: Scene, settings: Settings, analysis: Analysis | None = None) -> Uncertainty:
         """What float32 allows; only the variant that compiles intersects in it too."""
         del analysis
-        return uncertainty(scene, settings, float32_roots=self.backend != "scalar")
+        float32_roots = self.backend != "scalar"
+        found = uncertainty(scene, settings, float32_roots=float32_roots)
+        either = at_lights(scene, settings, float32_roots=float32_roots)
+        if not either.any():
+            return found
+        # Of the decisions about such a light one is near; which, depends on the side that it is on.
+        return dataclasses.replace(
+            found, silhouette=np.where(either, np.inf, found.silhouette), range=np.where(either, np.inf, found.range)
+        )
 
     def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
         """How it decides otherwise than the specification, where rounding alone does not say it."""
-        return flat_chords(scene, settings, float32_roots=self.backend != "scalar")
+        float32_roots = self.backend != "scalar"
+        return [
+            *flat_chords(scene, settings, float32_roots=float32_roots),
+            *passed_over(scene, settings, float32_roots=float32_roots),
+        ]
 
     def render(self, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
         """Exactly the passes asked for.

@@ -134,19 +134,19 @@ class Chains:
         #: Nothing that could be hidden: no light gives anything there.
         self.dull: Flags = (self.tables.kd * self.tables.color.max(axis=0, initial=0.0) == 0) & (self.tables.ks == 0)
 
-    def follow(self, direction: Real) -> Iterator[Bounce]:
-        """The chains of primary rays."""
+    def follow(self, direction: Real, other: Sequence[Bounce] = ()) -> Iterator[Bounce]:
+        """The chains of primary rays; `other`: of the same rays, to be asked about what was hit there."""
         count = direction.shape[1]
         origin, weight = np.zeros((3, count)), np.ones(count)
         alive, inside_of = np.ones(count, bool), np.full(count, -1)
         on = np.full(count, -1)
         for bounce in range(self.settings.max_reflections + 1):
             asked: dict[tuple[Any, ...], Asked] = {}
-            sphere, t, inside = self.nearest(origin, direction, bounce, on, inside_of, asked)
+            sphere, t, inside, roots = self.nearest(origin, direction, bounce, on, inside_of, asked)
             sphere = np.where(alive, sphere, -1)
             hit = sphere >= 0
             point = origin + np.where(hit, t, 0) * direction
-            self.order(asked, point, sphere, direction)
+            self.order(asked, origin, direction, other[bounce].sphere if bounce < len(other) else sphere, roots)
             gradient = (point - self.at(self.position, sphere)) / self.at(self.tables.scaling, sphere) ** 2
             outward, _ = reference.unit(np.where(hit, gradient, 1.0))
             normal = np.where(inside, -outward, outward)
@@ -210,9 +210,10 @@ class Chains:
         on: Index,
         inside_of: Index,
         asked: dict[tuple[Any, ...], Asked],
-    ) -> tuple[Index, Real, Flags]:
-        """The nearest hit of each ray: sphere, t, and whether from inside."""
+    ) -> tuple[Index, Real, Flags, Real]:
+        """The nearest hit of each ray: sphere, t, whether from inside; and the t of every sphere, nan where none is."""
         count, begins = direction.shape[1], 0.0 if bounce else 1.0
+        roots = np.full((len(self.scene.spheres), count), np.nan)
         best, nearest, within = np.full(count, -1), np.full(count, np.inf), np.zeros(count, bool)
         for j in self.tables.distinct:
             A, B, C, o, d = self.quadratic(origin, direction, j)
@@ -233,16 +234,20 @@ class Chains:
             start = np.where(own, np.nan, (reference.dot(y, y) - 1) / 2)
             lengths = np.abs(origin) + begins * np.abs(direction)
             asked["start", j] = Asked("range", start, self.moves(y, lengths, j), blur)
+            roots[j] = np.where(counts, t, np.nan)
             closer = counts & (t < nearest)
             best, nearest, within = (
                 np.where(closer, j, best),
                 np.where(closer, t, nearest),
                 np.where(closer, takes_far, within),
             )
-        return best, np.where(best >= 0, nearest, 0.0), within
+        return best, np.where(best >= 0, nearest, 0.0), within, roots
 
-    def order(self, asked: dict[tuple[Any, ...], Asked], point: Real, sphere: Index, direction: Real) -> None:
-        """Whether each hit lies inside other spheres: which of two hits is nearer."""
+    def order(
+        self, asked: dict[tuple[Any, ...], Asked], origin: Real, direction: Real, sphere: Index, roots: Real
+    ) -> None:
+        """Whether the hit on `sphere` lies inside other ones: which of two hits is nearer."""
+        point = origin + (roots[sphere, np.arange(sphere.size)] if len(roots) else np.nan) * direction
         off = np.zeros(sphere.size)
         for j in self.tables.distinct:
             # The hit is where its own sphere's quadratic has it.
@@ -372,6 +377,7 @@ class Changes:
 
     claims: dict[str, Real]
     color: Real
+    parted: Flags  # whether the two chains of rays part somewhere
 
 
 def changes(
@@ -390,7 +396,7 @@ def changes(
     whether reflected rays count. `falloff`: the falloff of lights is undone with a place that was looked up.
     """
     shape = analysis.ids.shape
-    total = Changes({kind: np.zeros(shape) for kind in MARGINS}, np.zeros(shape))
+    total = Changes({kind: np.zeros(shape) for kind in MARGINS}, np.zeros(shape), np.zeros(shape, bool))
     if not mirrors:
         settings = dataclasses.replace(settings, max_reflections=0)
     margins = analysis.margins if mirrors else analysis.lighted
@@ -436,7 +442,8 @@ def _compare(
     color, parted, gone = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
     kr = np.array([*(s.kr for s in scene.spheres), 0.0])
     claims = {kind: np.zeros(count) for kind in MARGINS}
-    exact, moved = (Chains(scene, settings, moved=rule).follow(direction) for rule in (False, True))
+    exact = list(Chains(scene, settings, moved=False).follow(direction))
+    moved = Chains(scene, settings, moved=True).follow(direction, exact)
     for bounce, (a, b) in enumerate(zip(exact, moved, strict=False)):
         for key, mine in a.asked.items():
             theirs = b.asked[key]
@@ -463,6 +470,7 @@ def _compare(
         together &= (a.sphere == b.sphere) & (a.sphere >= 0)
     for kind in MARGINS:
         total.claims[kind][place] = claims[kind]
+    total.parted[place] = parted
     # Where they part the values differ by more than an error, and no tolerance is to hide that.
     total.color[place] = np.where(gone, np.inf, np.where(parted, 0.0, color))
 
@@ -489,12 +497,14 @@ def uncertainty(
     # Roundings act on a quantity that the epsilons have brought nearer to 0 by one part in CLOSE at most.
     nearer = CLOSE / (CLOSE - 1)
 
-    def claim(kind: str) -> PerPixel:
-        return np.asarray(getattr(base, kind)) * nearer + found.claims[kind]
-
-    return dataclasses.replace(
-        base, **{kind: claim(kind) for kind in MARGINS}, absolute=with_mirrors(base, found.color)
-    )
+    claims = {kind: np.asarray(getattr(base, kind)) * nearer + found.claims[kind] for kind in MARGINS}
+    # Where they part, and no quantity says so, a step has grown to so much that no decision near there is certain.
+    margins = analysis.margins if mirrors else analysis.lighted
+    nearest = np.min([margins[kind] for kind in MARGINS], axis=0)
+    silent = found.parted & np.all([margins[kind] >= claims[kind] for kind in MARGINS], axis=0)
+    for kind in MARGINS:
+        claims[kind] = np.where(silent & (margins[kind] == nearest), NEAR * nearest, claims[kind])
+    return dataclasses.replace(base, **claims, absolute=with_mirrors(base, found.color))
 
 
 def with_mirrors(of: Uncertainty, color: Real | float) -> dict[str, PerPixel]:
@@ -511,9 +521,9 @@ def rules(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[
 
     from validation.follow import Follower, Hit, Vector
     from validation.rules import Rule
-    from validation.truth import Prover
 
     ray, shadow = fmpq(1500, 1 << 24), fmpq(15000, 1 << 24)
+    oblique = float32_roots
 
     class Beside(Follower):
         """Rays start beside surfaces, and shadow rays end before the light."""
@@ -590,11 +600,14 @@ def rules(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[
             """Whether a shadow ray meets sphere j, which is before it."""
             return self.sign(B * B - A * C, "meets", bounce, i, j) >= 0
 
-    class Blurred(Beside):
-        """A shadow ray whose discriminant is within the rounding of the plain quadratic in float32 meets, or not."""
+    class Open(Beside):
+        """Leaves some decisions open, each named by the bounce, the light, -1 for none, and the sphere."""
 
         otherwise: frozenset[tuple[int, int, int]] = frozenset()
         found: set[tuple[int, int, int]]
+
+    class Blurred(Open):
+        """A shadow ray whose discriminant is within the rounding of the plain quadratic in float32 meets, or not."""
 
         def meets(self, A: Any, B: Any, C: Any, bounce: int, i: int, j: int) -> bool:
             h_squared = precision.about(B) ** 2 / precision.about(A)
@@ -602,16 +615,34 @@ def rules(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[
                 self.found.add((bounce, i, j))
             return super().meets(A, B, C, bounce, i, j) != ((bounce, i, j) in self.otherwise)
 
-    def choices(x: int, y: int) -> Iterator[type[Follower]]:
-        """One such ray is decided otherwise, then two, and so on."""
-        waiting: list[frozenset[tuple[int, int, int]]] = [frozenset()]
-        for otherwise in waiting:
-            found: set[tuple[int, int, int]] = set()
-            follower = type("Blurred", (Blurred,), {"otherwise": otherwise, "found": found})
-            Prover(scene, settings, follower=follower).examine(x, y)
-            waiting += [otherwise | {ray} for ray in sorted(found) if ray > max(otherwise, default=(-1, -1, -1))]
-            if otherwise:
-                yield follower
+    class Turned(Open):
+        """A hit beside an outline, where N.V is within rounding of 0, is on the side that is seen, or on the other."""
+
+        def nearest(
+            self, relative: list[Any], direction: Vector, bounce: int, own: int, inside: bool
+        ) -> tuple[int, Any, bool, bool] | None:
+            hit = super().nearest(relative, direction, bounce, own, inside)
+            if hit is None:
+                return None
+            j, t, within, touches = hit
+            start = [precision.about(m + p) for m, p in zip(relative[j][0], self.tables.position[j], strict=True)]
+            end = [a + precision.about(t * d) for a, d in zip(start, direction, strict=True)]
+            mx, my, mz = (a + t * b for a, b in zip(relative[j][0], direction, strict=True))
+            wx, wy, wz = self.tables.w[j]
+            gradient, size = (wx * mx, wy * my, wz * mz), math.hypot(*start) + math.hypot(*end)
+            if precision.flat(scene, self.tables, j, gradient, direction, precision.about(t), size, oblique=oblique):
+                self.found.add((bounce, -1, j))
+                within ^= (bounce, -1, j) in self.otherwise
+            return j, t, within, touches
+
+        def follow(self, direction: Vector) -> list[Hit]:
+            """The pass `normal` knows the side: by where the ray starts, as our code tells it."""
+            hits = super().follow(direction)
+            for hit in hits:
+                if (hit.bounce, -1, hit.sphere) in self.otherwise:
+                    x, y, z = hit.gradient
+                    hit.gradient = -x, -y, -z
+            return hits
 
     says = (
         f"starts rays (1 + the largest coordinate) x {RAY_EPSILON:.3g} beside surfaces and ends shadow rays at "
@@ -620,5 +651,6 @@ def rules(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[
     found = [Rule(says, Beside)]
     if float32_roots:
         says = "decides on a float32 discriminant, not set up near the sphere, whether shadow rays meet it"
-        found.append(Rule(says, choices=choices))
-    return found
+        found.append(Rule(says, choices=precision.choosing(scene, settings, Blurred)))
+    says = "tells by a rounded normal which side of a surface a ray has hit, and so on which side the next one starts"
+    return [*found, Rule(says, choices=precision.choosing(scene, settings, Turned))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,10 @@ from validation.renderers import PerPixel, Settings, Uncertainty, floats
 
 if TYPE_CHECKING:
     from tracer import Scene
+    from validation.follow import Follower, Tables, Vector
     from validation.rules import Rule
+
+Flags = NDArray[np.bool_]
 
 UNIT_ROUNDOFF = floats.UNIT_ROUNDOFF["f32"]
 #: Mitsuba's roots are off by up to this times the largest coordinate; docs/tolerances.md counts it.
@@ -31,6 +34,10 @@ SPHERE_ROUNDINGS = DECISION
 INSTANCE_ROUNDINGS = DECISION
 GROWTH = 2
 CHORD = 8
+#: Of what an equation is off by at a point, half the discriminant of a short chord next to it shows four times as much.
+SHORT = 4
+#: A light counts as beside a surface if its equation there is below this.
+BESIDE = 1 / 8
 #: Margins are this many times the roundings at least: so a discriminant keeps a part 1 - 1 / ROOM of itself.
 ROOM = 2
 
@@ -165,6 +172,136 @@ def _cosine(normal: Any, direction: Any) -> Any:
     return np.abs((normal * direction).sum(axis=0)) / np.linalg.norm(direction, axis=0)
 
 
+class Approach:
+    """The ways to a light that is beside a surface, which they may meet before the light or not.
+
+    Mitsuba's hits do not count that are less than SLACK, times the largest coordinate, from the light, across the
+    surface; docs/tolerances.md derives on which ways float32 may say either.
+    """
+
+    def __init__(self, scene: Scene, sphere: int, light: int, *, oblique: bool) -> None:
+        """`oblique`: whether rays lose digits on the way to an instance."""
+        ball = scene.spheres[sphere]
+        self.sphere, self.light = sphere, light
+        self.scaling = np.abs(np.array(ball.scaling))[:, None]
+        self.center = np.array(ball.position)[:, None]
+        self.place = np.array(scene.lights[light].position)[:, None]
+        self.side = int(reference.light_sides(self.place, self.center, self.scaling)[0, 0])
+        self.oblique = oblique and np.ptp(self.scaling) > 0
+        _, self.roundings = roundings_of(scene)
+
+    @staticmethod
+    def all(scene: Scene, *, oblique: bool) -> list[Approach]:
+        """Of every light and every surface that it is beside."""
+        every = [Approach(scene, j, i, oblique=oblique) for j in scene.distinct for i in range(len(scene.lights))]
+        return [each for each in every if abs(float(reference.dot(*[each.scaled(each.place)] * 2)[0]) - 1) < BESIDE]
+
+    def scaled(self, point: Any) -> Any:
+        """In the unit space of the sphere."""
+        return (point - self.center) / self.scaling
+
+    def open(self, origin: Any, position: Any, own: Any, epsilon: float) -> Flags:
+        """For columns: `position` in the world, `origin` the same in unit space, `own` whether on the sphere itself."""
+        to_light = self.place - position
+        direction = to_light / self.scaling
+        A, B = reference.dot(direction, direction), reference.dot(origin, direction)
+        if self.side == 0:
+            # One root is 1, and the other by their product.
+            t = (reference.dot(origin, origin) - 1) / A
+            counts = ~own & (t > epsilon)
+        else:
+            line = reference.chord(origin, direction)
+            t = np.where(own, -2 * B / A, np.where(line.near > epsilon, line.near, line.far))
+            counts = np.where(own, self.side > 0, line.meets) & (t > epsilon) & (t < 1)
+        lost: Any = self.roundings
+        if self.oblique:
+            # As in `_oblique`.
+            speed = np.sqrt(A) * self.scaling.min() / np.linalg.norm(to_light, axis=0)
+            lost = lost + GROWTH * (B / np.sqrt(A) * (1 - speed)) ** 2
+        y = origin + t * direction
+        gradient = np.abs(y / self.scaling)
+        off = reference.dot(gradient, np.abs(position) + np.abs(to_light) + np.abs(self.center)) + 1
+        off = ROOM * lost * UNIT_ROUNDOFF * off
+        size = np.maximum(np.abs(self.place).max(), np.abs(position).max(axis=0))
+        slack = SLACK * size * np.linalg.norm(gradient, axis=0)
+        if self.side == 0:
+            # The square of half the chord is what is left of the discriminant.
+            return np.asarray(counts & (A * ((1 - t) / 2) ** 2 <= slack / 2 + 2 * off))
+        # From the inside of the sphere itself the light's own depth: chords that are flat are told apart elsewhere.
+        deep = (1 - t) * np.where(own, A / 2, np.abs(reference.dot(y, direction)))
+        return np.asarray(counts & (deep <= slack + off * np.where(own | (self.side < 0), 1, SHORT)))
+
+
+def at_lights(scene: Scene, settings: Settings, *, float32_roots: bool) -> Flags:
+    """Pixels with a shadow ray of which Mitsuba may not tell whether it meets a sphere just before the light."""
+    view, tables = scene.view, reference.Tables(scene, np.float64)
+    found = np.zeros(view.columns * view.rows, bool)
+    approaches = Approach.all(scene, oblique=float32_roots)
+    eye = np.append(np.array([s.position for s in scene.spheres]).reshape(-1, 3).T, np.zeros((3, 1)), axis=1)
+    with np.errstate(all="ignore"):
+        for rows in reference.bands(view) if approaches else ():
+            primary = reference.eye_rays(tables, view, settings.sample, rows)
+            for _, _, at in reference.trace(tables, primary, settings.max_reflections):
+                x = at.x
+                position = eye[:, x.start] + x.offset
+                for way in approaches:
+                    own = x.start == way.sphere
+                    origin = np.where(own, x.point, way.scaled(position))
+                    either = way.open(origin, position, own, settings.shadow_epsilon) & (x.inside | ~own)
+                    either &= reference.dot(at.normal, way.place - position) > 0
+                    found[rows.start * view.columns + x.pixel[either]] = True
+    return found.reshape(view.rows, view.columns)
+
+
+def passed_over(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[Rule]:
+    """The rule by which hits just before a light do not count, where a light is beside a surface."""
+    from validation.follow import Follower, Hit
+    from validation.rules import Rule
+
+    approaches = {(way.light, way.sphere): way for way in Approach.all(scene, oblique=float32_roots)}
+
+    class Passing(Follower):
+        """Each such hit, named by bounce, light and sphere, counts or does not."""
+
+        otherwise: frozenset[tuple[int, int, int]] = frozenset()
+        found: set[tuple[int, int, int]]
+
+        def hides(self, hit: Hit, relative: Any, to_light: Vector, i: int, j: int) -> bool:
+            hidden, own = super().hides(hit, relative, to_light, i, j), j == hit.sphere
+            if (i, j) in approaches and (hit.inside or not own):
+                way = approaches[i, j]
+                from_center, position = (np.array([[about(v)] for v in of]) for of in (relative[0], hit.point))
+                with np.errstate(all="ignore"):
+                    either = way.open(from_center / way.scaling, position, np.array([own]), settings.shadow_epsilon)
+                if either[0]:
+                    self.found.add((hit.bounce, i, j))
+                    hidden ^= (hit.bounce, i, j) in self.otherwise
+            return hidden
+
+    says = (
+        f"does not count hits that are nearer to a light than {SLACK:.2g} of the largest coordinate, across the surface"
+    )
+    return [Rule(says, choices=choosing(scene, settings, Passing))] if approaches else []
+
+
+def choosing(scene: Scene, settings: Settings, kind: type[Follower]) -> Callable[[int, int], Iterator[type[Follower]]]:
+    """Of a follower that puts what it may take either way into `found`: one is in `otherwise`, then two, and so on."""
+    from validation.truth import Prover
+
+    def choices(x: int, y: int) -> Iterator[type[Follower]]:
+        waiting: list[frozenset[tuple[int, ...]]] = [frozenset()]
+        for otherwise in waiting:
+            found: set[tuple[int, ...]] = set()
+            follower = type(kind.__name__, (kind,), {"otherwise": otherwise, "found": found})
+            # After one that is taken otherwise a ray may have others.
+            Prover(scene, settings, follower=follower).examine(x, y)
+            waiting += [otherwise | {one} for one in sorted(found) if one > max(otherwise, default=(-1,))]
+            if otherwise:
+                yield follower
+
+    return choices
+
+
 def fits_float32(scene: Scene) -> bool:
     """Whether every number of the scene lies in RANGE, or is 0."""
     view = scene.view
@@ -176,13 +313,37 @@ def fits_float32(scene: Scene) -> bool:
     return all(number == 0 or RANGE[0] <= abs(number) <= RANGE[1] for number in numbers)
 
 
+def flat(
+    scene: Scene,
+    tables: Tables,
+    sphere: int,
+    gradient: Vector,
+    direction: Vector,
+    along: float,
+    size: float,
+    *,
+    oblique: bool,
+) -> bool:
+    """Whether c^2 = (n.d)^2 / d.d, in the space of the sphere, is below what float32 can tell from 0.
+
+    `along`: how much of the direction lies between the start of the ray and the point n; `size`: the distances of both
+    from the eye, added; `oblique`: whether rays lose digits on the way to an instance.
+    """
+    A = sum(about(w) * about(d) ** 2 for w, d in zip(tables.w[sphere], direction, strict=True))
+    B = sum(about(g) * about(d) for g, d in zip(gradient, direction, strict=True))
+    scaling = [abs(value) for value in scene.spheres[sphere].scaling]
+    _, lost = roundings_of(scene)
+    if oblique and len(set(scaling)) > 1:
+        # As in `_oblique`: along the ray to the point next to the centre, and how short of it the walk ends.
+        speed = math.sqrt(A) * min(scaling) / math.hypot(*map(about, direction))
+        lost += GROWTH * ((B / A - along) * math.sqrt(A) * (1 - speed)) ** 2
+    return bool(_flat(lost, size, min(scaling)) * A > B**2)
+
+
 def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Sequence[Rule]:
     """The rule by which Mitsuba decides on flat chords inside a sphere; docs/tolerances.md derives the bound."""
-    from validation.follow import Follower, Hit, Vector
+    from validation.follow import Follower, Hit
     from validation.rules import Rule
-    from validation.truth import Prover
-
-    _, roundings = roundings_of(scene)
 
     class Flat(Follower):
         """A ray from the inside of a sphere whose discriminant c^2 is within the rounding of float32.
@@ -195,18 +356,10 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
         found: set[tuple[int, int]]
 
         def flat(self, sphere: int, gradient: Vector, direction: Vector, point: Vector, end: float) -> bool:
-            """Whether c^2 = (n.d)^2 / d.d, in the space of the sphere, is below the bound."""
-            A = sum(w * d * d for w, d in zip(self.tables.w[sphere], direction, strict=True))
-            B = sum(g * d for g, d in zip(gradient, direction, strict=True))
-            scaling = [abs(value) for value in scene.spheres[sphere].scaling]
+            """Whether the chord inside a sphere that starts at a point is too flat."""
+            B = sum(about(g) * about(d) for g, d in zip(gradient, direction, strict=True))
             size = math.hypot(*map(about, point)) + end
-            lost = roundings
-            if float32_roots and len(set(scaling)) > 1:
-                # As in `_oblique`: along the ray to the point next to the centre, and how short of it the walk ends.
-                length = math.hypot(*map(about, direction))
-                speed = math.sqrt(about(A)) * min(scaling) / length
-                lost += GROWTH * (about(B) / math.sqrt(about(A)) * (1 - speed)) ** 2
-            return about(B) < 0 and bool(about(B) ** 2 < _flat(lost, size, min(scaling)) * about(A))
+            return B < 0 and flat(scene, self.tables, sphere, gradient, direction, 0.0, size, oblique=float32_roots)
 
         def nearest(
             self, relative: list[Any], direction: Vector, bounce: int, own: int, inside: bool
@@ -229,19 +382,8 @@ def flat_chords(scene: Scene, settings: Settings, *, float32_roots: bool) -> Seq
                 hidden ^= (hit.bounce, i) in self.otherwise
             return hidden
 
-    def choices(x: int, y: int) -> Iterator[type[Follower]]:
-        """One chord is decided otherwise, then two, and so on; after a chord that is lost the ray has others."""
-        waiting: list[frozenset[tuple[int, int]]] = [frozenset()]
-        for otherwise in waiting:
-            found: set[tuple[int, int]] = set()
-            follower = type("Flat", (Flat,), {"otherwise": otherwise, "found": found})
-            Prover(scene, settings, follower=follower).examine(x, y)
-            waiting += [otherwise | {chord} for chord in sorted(found) if chord > max(otherwise, default=(-1, -1))]
-            if otherwise:
-                yield follower
-
     says = "cannot tell the far end of a chord inside a sphere from its start, where the chord is so flat"
-    return [Rule(says, choices=choices)]
+    return [Rule(says, choices=choosing(scene, settings, Flat))]
 
 
 def about(value: Any) -> float:
