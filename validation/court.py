@@ -10,6 +10,7 @@ unexplained.
 from __future__ import annotations
 
 import functools
+import heapq
 import itertools
 import math
 import random
@@ -21,11 +22,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tracer.margins import EDGE_ROUNDINGS, VALUE_ROUNDINGS
 from tracer.passes import MARGINS, lookup
 from validation import flips, parting
 from validation.compare import Judge
 from validation.encoding import Encoding
-from validation.follow import Follower, Key
+from validation.follow import Follower, Hit, Key
 from validation.parting import Decision
 from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
 from validation.rules import Rule, mistakes
@@ -42,21 +44,25 @@ if TYPE_CHECKING:
 LARGEST = 32 * 2.0**-11
 #: The least that numbers are changed beyond a decision, as a share of the unit by which values may be off.
 NEAREST = 2.0**-20
-#: Changes grow by these factors, for one decision and for two, and where one comes near to the pixel, others around it
-#: are tried.
-GROWTH, AROUND = (4.0, 16.0), 6
-#: Where several decisions lie within a claim, two may flip at once, of the nearest so many.
-FEW = 10
-#: So many more may be taken otherwise besides.
-BESIDES = 2
+#: Changes grow by this factor, and where one comes near to the pixel, others around it are tried.
+GROWTH, AROUND = 4.0, 6
+#: A decision may be taken otherwise with all numbers as they are up to this margin in units of the values: the same
+#: roundings that are counted in a value are counted in a decision. If it takes more, values tell.
+TELLS = EDGE_ROUNDINGS / VALUE_ROUNDINGS
 #: Sensitivities are what takes time: of a pixel and renderer so many at most.
 SENSITIVITIES = 64
 #: Of what makes a pixel in part so many are looked at further.
 HALFWAY = 6
+#: Of a pixel and renderer so many sets of decisions are looked at, each for one more; of all that its rules make of the
+#: pixel in part as many again.
+SETS = 64
 #: Of a rule that leaves decisions open so many ways to take them.
 CHOICES = 64
 #: Decisions that are forced, whatever they would take, to say which one must have been taken otherwise.
 FORCED = 64
+
+#: What is off by more, in bits, is off by as much.
+BITS = 64.0
 
 #: Other pixels that are asked before a mistake is believed, and by how many tolerances one of them has to differ.
 WITNESSES, CLEARLY = 64, 100
@@ -282,87 +288,134 @@ class Court:
         return against + (asked(around, enough - against) if against < enough else 0) >= enough
 
     def roundings(self, pixel: _Pixel, prover: Prover, besides: str = "") -> Iterator[_Possible]:
-        """Truth with the numbers changed so that one decision flips, by no more than the renderer claims."""
+        """Truth with one decision flipped by numbers changed no more than the renderer claims, or with several."""
         x, y = pixel.truth.x, pixel.truth.y
         claims = {kind: pixel.at(getattr(pixel.side.claim, kind)) for kind in MARGINS}
         # The margins are the specification's: a rule has decisions of its own.
         if prover is self.prover and not self.near(x, y, claims):
             return
         within = [flip for flip in _decisions(prover, x, y) if flip.margin <= min(claims[flip.kind], LARGEST)]
-        may = f"rounding: truth makes this pixel, and it {_may(min(claims.values()))}{besides}"
-        halfway = [_Possible("rounding", may, pixel.made(prover), 0.0)]
-        singles = [(flip,) for flip in within]
-        pairs = [(a, b) for a, b in itertools.combinations(within[:FEW], 2) if a.key != b.key]
-        for sets in (singles, pairs):
-            found = [
-                possible
-                for together in sets
-                if pixel.concerns(together)
-                for possible in self.changes(pixel, prover, together, claims, besides)
-            ]
-            yield from pixel.makers(found)
-            halfway += found
-        # A decision may bring others with it that are as near: where two spheres cross, which one is hit first and on
-        # which side of the other the mirror's ray starts.
-        for _ in range(BESIDES):
-            halfway = [more for possible in pixel.promising(halfway) for more in self.others(pixel, possible, claims)]
-            yield from pixel.makers(halfway)
+        singles = [
+            possible
+            for flip in within
+            if pixel.concerns([flip])
+            for possible in self.changes(pixel, _State(pixel.made(prover)), flip, claims)
+        ]
+        yield from pixel.makers([state.possible(claims, besides) for state in singles])
+        yield from self.several(pixel, prover, claims, besides)
 
-    def others(self, pixel: _Pixel, possible: _Possible, claims: Mapping[str, float]) -> list[_Possible]:
-        """What makes a pixel in part, with one more decision the other way: one so near that no value tells."""
-        prover, found = possible.made.prover, []
-        for flip in _decisions(prover, pixel.truth.x, pixel.truth.y):
-            if flip.margin > min(claims[flip.kind], pixel.unit) or not any(
-                _changes(flip.key, name) for name in pixel.errors
-            ):
+    def several(
+        self,
+        pixel: _Pixel,
+        prover: Prover,
+        claims: Mapping[str, float],
+        besides: str,
+    ) -> Iterator[_Possible]:
+        """Truth with any number of decisions within the claim taken otherwise: a renderer rounds each by itself.
+
+        The set that makes most of the pixel is looked at first: of its passes the first, in the order of the ray, that
+        it does not make yet says which decisions may be the next to be taken otherwise, all numbers as they are. Values
+        next to an outline are had by changing the numbers with all decisions near them held as they are.
+        """
+        limits = {kind: min(claim, TELLS * pixel.unit, LARGEST) for kind, claim in claims.items()}
+        count = itertools.count()
+        pixel.left = SENSITIVITIES
+        waiting: list[tuple[tuple[int, int, float], int, _State]] = []
+        seen: set[tuple[_Made | None, frozenset[tuple[Key, int]]]] = set()
+
+        def wait(states: Iterable[_State], than: _State | None = None) -> None:
+            for state in states:
+                entry = state.numbers, frozenset(state.made.prover.forced.items())
+                same = than is not None and state.made.path == than.made.path
+                if state.made.values is not None and entry not in seen and not same:
+                    seen.add(entry)
+                    unmade, off = pixel.rank(state.made)
+                    heapq.heappush(waiting, ((unmade, state.steps, off), next(count), state))
+
+        wait([_State(pixel.made(prover))])
+        for _ in range(SETS if prover is self.prover else SETS // HALFWAY):
+            if not waiting:
+                return
+            *_, state = heapq.heappop(waiting)
+            wanting = pixel.wanting(state.made)
+            if not wanting:
+                if state.steps:
+                    yield state.possible(claims, besides)
                 continue
-            because = f"{possible.because}, with {flip.kind} of margin {flip.margin:.2g} decided the other way"
-            made = pixel.made(prover.forcing({flip.key: flip.forced}))
-            # All of it together has to be within the claim.
-            change = (possible.change or 0.0) + flip.margin
-            if change > min(claims.values()):
-                continue
-            found.append(replace(possible, because=because, made=made, change=change, flip=possible.flip or flip))
-        return found
+            near = state.near(limits)
+            for flip in near:
+                if flip.forced != flip.sign and _changes(flip.key, wanting):
+                    other = state.forcing(flip)
+                    wait([other], state)
+                    if flip.key.light >= 0:
+                        wait(self.unhidden(other, flip.key, limits), state)
+            for flip in state.made.decisions:
+                # Of values behind a decision those count where its quantity is above 0.
+                steep = flip.key in state.made.steep and flip.key not in state.moved and _changes(flip.key, wanting)
+                if steep and (flip.sign or flip.other > 0) and lookup(wanting).quantity not in ("id", "visibility"):
+                    held = state.holding(near, flip)
+                    wait(self.changes(pixel, held, flip, claims, [1 if flip.other > 0 else -1]))
+
+    def unhidden(self, state: _State, asked: Key, limits: Mapping[str, float]) -> list[_State]:
+        """The same with nothing before the light that a decision is about: what hides it may be several spheres."""
+        while blockers := state.made.blockers(asked.bounce, asked.light):
+            ways = [
+                state.forcing(flip)
+                for flip in state.near(limits)
+                if flip.key[1:4] == (asked.bounce, asked.light, blockers[0]) and flip.key != asked
+            ]
+            fewer = (way for way in ways if blockers[0] not in way.made.blockers(asked.bounce, asked.light))
+            found = next(fewer, None)
+            if found is None:
+                return []
+            state = found
+        return [state]
 
     def changes(
         self,
         pixel: _Pixel,
-        prover: Prover,
-        together: Sequence[flips.Flip],
+        state: _State,
+        flip: flips.Flip,
         claims: Mapping[str, float],
-        besides: str,
-    ) -> list[_Possible]:
-        """Truth of numbers changed to either side of a decision, those that come nearest to a pixel."""
-        claim = min(claims[flip.kind] for flip in together)
-        way, margin = flips.both(together), max(flip.margin for flip in together)
-        most, first, growth = min(claim, LARGEST), NEAREST * pixel.unit, GROWTH[len(together) - 1]
+        sides: Sequence[int] = (1, -1),
+    ) -> list[_State]:
+        """Truth of numbers changed to either side of a decision, by no more than is claimed.
+
+        Of those that make the same passes the one that comes nearest to a pixel.
+        """
+        most, first = min(claims[flip.kind], LARGEST) - state.change, NEAREST * pixel.unit
+        if flip.margin > most:
+            return []
+        margin, prover = flip.margin, state.made.prover
 
         def changed(delta: float) -> _Made:
-            return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, way, delta))
+            return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, flip, delta))
 
         found = []
-        for side in (1, -1):
+        for side in sides:
             tried = [
-                (pixel.score(made), gap, made)
-                for gap in _gaps(margin, most, first, growth, side)
+                (pixel.rank(made), gap, made)
+                for gap in _gaps(margin, most, first, side)
                 for made in [changed(margin + side * gap)]
+                if made.values is not None
             ]
-            if not tried:
-                continue
-            best = min(tried, key=lambda entry: entry[0])
-            for step in range(1, AROUND // 2 + 1) if 1 < best[0] < math.inf else ():
-                for gap in (best[1] * growth**sign for sign in (2.0**-step, -(2.0**-step))):
-                    if abs(margin + side * gap) <= most:
-                        made = changed(margin + side * gap)
-                        best = min(best, (pixel.score(made), gap, made), key=lambda entry: entry[0])
-            _, gap, made = best
-            delta, beyond = margin + side * gap, margin + side * pixel.unit
-            if gap < pixel.unit:
-                made.beyond = changed(beyond if abs(beyond) <= most else side * most)
-            change = f"changing the scene's numbers by {abs(delta):.2g} (relative)"
-            because = f"rounding: {change} makes this pixel, and it {_may(claim)}{besides}"
-            found.append(_Possible("rounding", because, made, abs(delta), way, way.kind))
+            best: dict[int, tuple[tuple[int, float], float, _Made]] = {}
+            for entry in tried:
+                kept = best.get(entry[0][0])
+                if kept is None or entry[0] < kept[0]:
+                    best[entry[0][0]] = entry
+            for entry in best.values():
+                for step in range(1, AROUND // 2 + 1) if entry[0][1] > 0 else ():
+                    for gap in (entry[1] * GROWTH**sign for sign in (2.0**-step, -(2.0**-step))):
+                        if abs(margin + side * gap) <= most:
+                            made = changed(margin + side * gap)
+                            if made.values is not None:
+                                entry = min(entry, (pixel.rank(made), gap, made), key=lambda each: each[0])
+                _, gap, made = entry
+                delta, beyond = margin + side * gap, margin + side * pixel.unit
+                if gap < pixel.unit:
+                    made.beyond = changed(beyond if abs(beyond) <= most else side * most)
+                found.append(state.changing(flip, abs(delta), made))
         return found
 
     def near(self, x: int, y: int, claims: Mapping[str, float]) -> bool:
@@ -416,6 +469,59 @@ class _Possible:
     kind: str = ""
 
 
+@dataclass(frozen=True)
+class _State:
+    """Truth with numbers changed, and decisions taken otherwise."""
+
+    made: _Made
+    change: float = 0.0
+    flip: flips.Flip | None = None  # the first decision by which numbers are changed, or that is forced
+    forced: tuple[flips.Flip, ...] = ()
+    moved: tuple[Key, ...] = ()  # the decisions by which numbers are changed
+    numbers: _Made | None = None  # the same without forced decisions; None: as they are
+
+    @property
+    def steps(self) -> int:
+        """What is done to truth."""
+        return len(self.forced) + len(self.moved)
+
+    def near(self, limits: Mapping[str, float]) -> list[flips.Flip]:
+        """The decisions that may be taken otherwise besides."""
+        taken = {flip.key for flip in self.forced}
+        near = (flip for flip in self.made.decisions if self.change + flip.margin <= limits[flip.kind])
+        return [flip for flip in near if flip.key not in taken]
+
+    def forcing(self, flip: flips.Flip) -> _State:
+        """With one more decision otherwise."""
+        taken = {flip.key: flip.forced}
+        made = self.made.otherwise(taken)
+        return replace(self, made=made, forced=(*self.forced, flip), flip=self.flip or flip)
+
+    def changing(self, flip: flips.Flip, change: float, made: _Made) -> _State:
+        """With numbers changed by so much more."""
+        moved = (*self.moved, flip.key)
+        return replace(self, made=made, change=self.change + change, flip=self.flip or flip, moved=moved, numbers=made)
+
+    def holding(self, near: Iterable[flips.Flip], but: flips.Flip) -> _State:
+        """With all decisions that are near, but for one, as they are, however numbers change."""
+        return replace(self, made=self.made.otherwise({flip.key: flip.sign for flip in near if flip.key != but.key}))
+
+    def possible(self, claims: Mapping[str, float], besides: str) -> _Possible:
+        """As a cause."""
+        assert self.flip is not None
+        kinds = {flip.kind for flip in (self.flip, *self.forced)}
+        count = len(self.forced)
+        change = max([self.change, *(flip.margin for flip in self.forced)])
+        numbers = f"changing the scene's numbers by {self.change:.2g} (relative)" if self.change else ""
+        decisions = f"{count} decision{'s' * (count > 1)} within its claim taken otherwise" if count else ""
+        does = f"{numbers}, with {decisions}," if numbers and count else numbers or f"truth with {decisions}"
+        may = _may(min(claims[kind] for kind in kinds))
+        kind = "" if count > 1 or (count and self.change) else self.flip.kind
+        return _Possible(
+            "rounding", f"rounding: {does} makes this pixel, and it {may}{besides}", self.made, change, self.flip, kind
+        )
+
+
 class _Made:
     """A pixel of truth that is changed somehow; `beyond`: of a decision that flips, the same farther off."""
 
@@ -423,28 +529,68 @@ class _Made:
         self.prover, self.x, self.y, self.encoding = prover, x, y, encoding
         self.beyond: _Made | None = None
 
-    @functools.cached_property
-    def gap(self) -> float:
-        """The change as far as which slopes bound values.
+    def otherwise(self, forced: Mapping[Key, int]) -> _Made:
+        """The same with decisions taken otherwise."""
+        other = _Made(self.prover.forcing(forced), self.x, self.y, self.encoding)
+        if self.beyond is not None:
+            other.beyond = self.beyond.otherwise(forced)
+        return other
 
-        As far as a ray of the chain comes to the outline of its hit, or R.V to 0 where n < 1: there slopes have no
-        bound.
-        """
+    @functools.cached_property
+    def hits(self) -> Sequence[Hit]:
+        """Those of the chain, with every sphere that hides a light; none where that cannot be had."""
         try:
-            hits, _ = self.prover.examine(self.x, self.y)
+            return self.prover.examine(self.x, self.y)[0]
         except NOWHERE:
-            return 0.0
-        chain = {("meets", hit.bounce, -1, hit.sphere) for hit in hits}
+            return []
+
+    @functools.cached_property
+    def path(self) -> object:
+        """What comes of all decisions."""
+        return [
+            (
+                hit.sphere,
+                hit.inside,
+                hit.touches,
+                [(seen.faces, bool(seen.blockers), seen.specular is None) for seen in hit.sights],
+            )
+            for hit in self.hits
+        ]
+
+    def blockers(self, bounce: int, light: int) -> tuple[int, ...]:
+        """The spheres that hide a light which a hit faces."""
+        sights = (seen for hit in self.hits if hit.bounce == bounce for seen in hit.sights)
+        return next((seen.blockers for seen in sights if seen.light == light and seen.faces > 0), ())
+
+    @functools.cached_property
+    def decisions(self) -> Sequence[flips.Flip]:
+        """Those with the smallest margins first; none where that cannot be had."""
+        return _decisions(self.prover, self.x, self.y)
+
+    @functools.cached_property
+    def steep(self) -> frozenset[Key]:
+        """The decisions next to which slopes have no bound.
+
+        Whether a ray of the chain meets what it hits, or R.V above 0 where n < 1.
+        """
+        steep = {Key("meets", hit.bounce, -1, hit.sphere) for hit in self.hits}
         exponents = [sphere.exponent for sphere in self.prover.scene.spheres]
-        chain |= {
-            ("shines", hit.bounce, sight.light, hit.sphere)
-            for hit in hits
+        steep |= {
+            Key("shines", hit.bounce, sight.light, hit.sphere)
+            for hit in self.hits
             for sight in hit.sights
             if 0 < exponents[hit.sphere] < 1
         }
-        decisions = _decisions(self.prover, self.x, self.y)
-        steep = [flip.margin for flip in decisions if flip.key[:4] in chain]
-        return min(steep, default=math.inf) if decisions else 0.0
+        # A ray that is held to touch has no root.
+        return frozenset(key for key in steep if self.prover.forced.get(key) != 0)
+
+    @functools.cached_property
+    def gap(self) -> float:
+        """The change as far as which slopes bound values."""
+        # A ray that touches exactly has no root, whose slope had no bound.
+        touched = {Key("meets", hit.bounce, -1, hit.sphere) for hit in self.hits if hit.touches}
+        steep = [flip.margin for flip in self.decisions if flip.key in self.steep - touched]
+        return min(steep, default=math.inf) if self.decisions else 0.0
 
     @functools.cached_property
     def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
@@ -507,6 +653,7 @@ class _Pixel:
         unit = self.at(side.claim.unit)
         # Where it claims nothing, truth has to come as near as anywhere else to be taken for the cause.
         self.unit = unit if math.isfinite(unit) else float(np.min(side.claim.unit))
+        self.in_order = sorted(self.values, key=_place)
         self.errors = self.off()
 
     def at(self, value: PerPixel) -> float:
@@ -569,10 +716,15 @@ class _Pixel:
         """
         if sensitivities is not None:
             self.left = sensitivities
-        scores = [(self.score(entry.made), entry) for entry in possible]
-        for score, entry in sorted(scores, key=lambda each: each[0]):
+        scores = [(self.score(entry.made), self.unsaid(entry.made), entry) for entry in possible]
+        for score, _, entry in sorted(scores, key=lambda each: each[:2]):
             if score < math.inf and score <= within and not self.idle(entry) and self.made_by(entry.made):
                 yield entry
+
+    def unsaid(self, made: _Made) -> int:
+        """How many lights it sees otherwise, if only where that means nothing."""
+        seen = (name for name in self.values if lookup(name).quantity == "visibility")
+        return sum(made.value(name)[0].value != self.values[name][0] for name in seen)
 
     def idle(self, possible: _Possible) -> bool:
         """Whether something that is no rounding is nothing but truth in all that is off: then it is not the cause."""
@@ -594,6 +746,30 @@ class _Pixel:
         ranked = sorted((missed(entry), place) for place, entry in enumerate(possible) if entry.made.values is not None)
         return [possible[place] for _, place in ranked[:HALFWAY]]
 
+    def rank(self, made: _Made) -> tuple[int, float]:
+        """How many passes changed truth does not make, from the first of them on, and how far off it is: roughly.
+
+        Next to an outline a value may be off by a root of the unit.
+        """
+        unmade, off = 0, 0.0
+        for place, name in enumerate(self.in_order):
+            values, row = self.values[name], lookup(name)
+            if row.quantity in ("id", "visibility"):
+                error, size, least = 0.0 if made.sees(name, values[0]) else math.inf, 1.0, 0.0
+            else:
+                exact, size = made.value(name), made.size(name)
+                if made.encoding and name == "beauty":
+                    error = distance(name, values, exact, made.encoding)
+                else:
+                    error = max(abs(value - ball.value) for value, ball in zip(values, exact, strict=True))
+                least = self.tolerance(name, 0.0, size)
+            if not error <= max(least, 4 * math.sqrt(self.unit) * (1 + size)):
+                unmade = unmade or 2 ** (len(self.in_order) - place)
+                unmade += 1
+            if not error <= least:
+                off += min(math.log2(error / least), BITS) if least > 0 and error < math.inf else BITS
+        return unmade, off
+
     def score(self, made: _Made) -> float:
         """How far changed truth is from this pixel, in rough tolerances; inf: another id or visibility."""
         if made.values is None:
@@ -611,7 +787,11 @@ class _Pixel:
 
     def made_by(self, made: _Made) -> bool:
         """Whether changed truth makes every value of this pixel within the renderer's tolerance there."""
-        return all(self.agrees(name, values, made) for name, values in self.values.items())
+        return not self.wanting(made)
+
+    def wanting(self, made: _Made) -> str:
+        """The first pass along the ray that changed truth does not make; "": it makes all."""
+        return next((name for name in self.in_order if not self.agrees(name, self.values[name], made)), "")
 
     def agrees(self, name: str, values: Sequence[float], made: _Made) -> bool:
         """Whether one pass does."""
@@ -667,13 +847,24 @@ def _changes(key: Key, name: str) -> bool:
     return name in ("diffuse", "specular", "direct", f"shadow.L{key.light}")
 
 
-def _gaps(margin: float, claim: float, first: float, growth: float, side: int) -> list[float]:
+def _place(name: str) -> tuple[int, str]:
+    """Where a pass comes along the ray: what is seen, the lights, then what is reflected, at last sums."""
+    if name in ("beauty", "reflection"):
+        return 5, name
+    if name.startswith("reflection."):
+        return 4, name
+    if name in ("diffuse", "specular", "direct"):
+        return 3, name
+    return (0 if name == "id" else 2 if lookup(name).quantity == "visibility" else 1), name
+
+
+def _gaps(margin: float, claim: float, first: float, side: int) -> list[float]:
     """How far beyond a decision numbers are changed, to that side: from `first` to where the claim ends."""
     last = claim - margin if side > 0 else claim + margin
     if not first <= last:
         return [last] if last > 0 else []
-    count = math.ceil(math.log(last / first, growth))
-    return [min(first * growth**k, last) for k in range(count + 1)]
+    count = math.ceil(math.log(last / first, GROWTH))
+    return [min(first * GROWTH**k, last) for k in range(count + 1)]
 
 
 def distance(name: str, values: Sequence[float], exact: Sequence[Ball], encoding: Encoding | None = None) -> float:

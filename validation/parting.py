@@ -190,4 +190,6 @@ def near(scene: Scene, flip: Flip) -> str:
         return f"where {exactly}{'N.L' if key.what == 'faces' else 'R.V'} = 0{after}"
     if flip.kind == "order":
         return f"where {sphere} and {sphere_name(scene, key.other)} are {exactly}equally near{after}"
+    if key.what == "side":
+        return f"where light {light_name(scene, key.light)} is {exactly}on {sphere}{after}"
     return f"where {ray} {exactly}meets {sphere} at the end of its range{after}"
