@@ -58,6 +58,16 @@ def root() -> Path:
     return ROOT
 
 
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene file that has something of everything."""
+    from doubles import FULL  # beside the tests of validation
+
+    path = tmp_path / "full.txt"
+    path.write_text(FULL)
+    return path
+
+
 @dataclass(frozen=True)
 class Result:
     """What a command left."""

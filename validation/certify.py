@@ -14,7 +14,6 @@ import numpy as np
 from flint import arb, ctx
 from numpy.typing import NDArray
 
-import tracer.margins
 from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, lookup, names
 from validation import metrics, renderers
@@ -27,6 +26,7 @@ from validation.run import (
     Note,
     Outcome,
     RendererError,
+    analyse,
     blaming,
     draw,
     explain_command,
@@ -112,12 +112,7 @@ def prove_scene(
         truth.UnprovedError: no pixel could be proved.
     """
     settings = settings or Settings()
-    analysis = tracer.margins.analyse(
-        scene,
-        sample=settings.sample,
-        shadow_epsilon=settings.shadow_epsilon,
-        max_reflections=settings.max_reflections,
-    )
+    analysis = analyse(scene, settings)
     random, edge = choose(scene, pixels, seed), hardest(analysis, edges)
     every = sorted({*random, *edge}, key=lambda pixel: pixel[::-1])
     fields = [

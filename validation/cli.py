@@ -33,8 +33,10 @@ from validation.options import (
     Size,
     Whole,
     drawing_options,
+    json_option,
     names_option,
     positive,
+    results_options,
     settings_options,
 )
 from validation.terminal import complain, console, print_comparisons, print_validation
@@ -54,9 +56,6 @@ MOST_ERRORS = 20
 #: How a pixel is named.
 AT = "a column and a row, from 0 at the top left: --at X Y"
 XY = "one scene, then a column and a row, from 0 at the top left: whitted explain SCENE X Y"
-#: That of validation.run, which takes longer to import than help may take; a test holds them together.
-MOST_VERDICTS = 100
-
 
 #: Set by SIGTERM, where it ends the program as Ctrl-C does.
 _terminated = threading.Event()
@@ -363,17 +362,7 @@ def whitted() -> None:
 @names_option("--passes", help="Passes to compare, for example beauty,shadow.L*; default: all.")
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
-@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
-@click.option(
-    "--verdicts",
-    type=Whole(hint="--verdicts 500 judges 500 pixels of a scene at most, --verdicts 0 none"),
-    default=MOST_VERDICTS,
-    show_default=True,
-    metavar="N",
-    help="Of each scene and pair work out N differing pixels exactly: who is wrong, and why; a random sample where "
-    "more differ; 0: none.",
-)
+@results_options("each scene and pair")
 @click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
 @click.pass_context
 def validate(
@@ -518,7 +507,13 @@ def _write_text(path: Path, text: str) -> None:
     metavar="FILE",
     help="The image (PPM or PNG) of the scene; of several scenes one each, in their order.",
 )
-@click.option("--command", "template", metavar="'CMD {scene}'", help="A program that draws the scenes: see above.")
+@click.option(
+    "--command",
+    "templates",
+    multiple=True,
+    metavar="'CMD {scene}'",
+    help="A program that draws the scenes: see above; of several each gets a line in a table.",
+)
 @click.option(
     "--time-limit",
     type=Whole(1, hint="in seconds"),
@@ -537,23 +532,14 @@ def _write_text(path: Path, text: str) -> None:
 )
 @click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
 @drawing_options
-@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
-@click.option(
-    "--verdicts",
-    type=Whole(hint="--verdicts 500 judges 500 pixels of an image at most, --verdicts 0 none"),
-    default=MOST_VERDICTS,
-    show_default=True,
-    metavar="N",
-    help="Of each image work out N differing pixels exactly; a random sample where more differ; 0: none.",
-)
+@results_options("each image", " Without it no more than 12 where these all come to the same.")
 @click.pass_context
 def check(
     ctx: click.Context,
     /,
     scenes: tuple[Path, ...],
     images: tuple[Path, ...],
-    template: str | None,
+    templates: tuple[str, ...],
     time_limit: int,
     memory: int,
     size: tuple[int, int] | None,
@@ -574,17 +560,19 @@ def check(
     \b
     whitted check scenes/gallery/shadows.txt --image shadows.ppm
     whitted check scenes/gallery/*.txt --command './mine {scene}' --report out
+    whitted check scenes/spec/*.txt --command 'ann/mine {scene}' --command 'bob/mine {scene}' --json all.json
 
-    Exit status: 0 nothing is left, 1 something is, 2 the input or the command is wrong, 3 the program failed.
+    Exit status: 0 nothing is left, 1 something is, 2 the input or the command is wrong, 3 a program failed.
     """  # noqa: D301 - click wants that character, not a backslash
-    from validation.check import Picture, check, draw_pictures, read_picture
-    from validation.renderers.command import MEBIBYTE, Limits
+    from validation import renderers
+    from validation.check import check, draw_pictures, read_picture, together
+    from validation.renderers.command import MEBIBYTE, PREFIX, Limits
     from validation.run import load_scenes, resized
-    from validation.terminal import print_check
+    from validation.terminal import print_check, print_checks
 
-    command = _command()
+    command, templates = _command(), tuple(dict.fromkeys(templates))
     with _errors("checked"):
-        if bool(images) == (template is not None):
+        if bool(images) == bool(templates):
             hint = "whitted check SCENE --image FILE, or whitted check SCENE... --command './mine {scene}'"
             what = "--image and --command exclude each other" if images else "expected either --image or --command"
             raise CommandError(what, hint)
@@ -601,40 +589,49 @@ def check(
         # Not folders: images belong to scenes by their order.
         if images and (folder := next((path for path in scenes if path.is_dir()), None)):
             raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
+        for template in templates:
+            renderers.get(f"{PREFIX}{template}")
         loaded = load_scenes(scenes, limits=not options["no_limits"])
+        if size:
+            loaded = {label: resized(scene, size) for label, scene in loaded.items()}
         settings = _settings(options | {"sample": "corner"})
         if json_file:
             _parent(json_file)
         page = _page(ctx, report) if report else None
         with _progress() as progress:
-            pictures: list[Picture] = []
-            if template is not None:
-                if size:
-                    loaded = {label: resized(scene, size) for label, scene in loaded.items()}
-                limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
-                pictures, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
-                name = f"cmd:{template}"
-            else:
-                failures = []
-                for path, (label, scene) in zip(images, loaded.items(), strict=True):
-                    pictures.append(read_picture(path, label, scene))
+            common: dict[str, Any] = {
+                "settings": settings,
+                "verdicts": None if ctx.get_parameter_source("verdicts") is ParameterSource.DEFAULT else verdicts,
+                "on_rendered": page.add if page else None,
+                "progress": progress,
+            }
+            if images:
+                pictures = [
+                    read_picture(path, label, scene)
+                    for path, (label, scene) in zip(images, loaded.items(), strict=True)
+                ]
                 name = f"image:{images[0].name}" if len(images) == 1 else "image"
-            result = check(
-                pictures,
-                settings,
-                name=name,
-                failures=failures,
-                verdicts=verdicts,
-                on_rendered=page.add if page else None,
-                progress=progress,
-            )
-        result.validation.command = command
-        print_check(result)
+                results = {name: check(pictures, name=name, **common)}
+            else:
+                limits, results = Limits(seconds=time_limit, memory=memory * MEBIBYTE), {}
+                for template in templates:
+                    drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
+                    name = f"{PREFIX}{template}"
+                    results[name] = check(drawn, name=name, failures=failures, **common)
+        (first, *others) = results.values()
+        result = together(results) if others else first.validation
+        result.command = command
+        if others:
+            print_checks(results)
+        else:
+            print_check(first)
         if json_file:
-            _write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+            programs = [{"program": name, **entry.record()} for name, entry in results.items()]
+            record = {"ok": result.ok, "command": command, "programs": programs} if others else first.record()
+            _write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
         if page and report:
-            click.echo(page.write(report, result.validation))
-    ctx.exit(result.status)
+            click.echo(page.write(report, result))
+    ctx.exit(max(entry.status for entry in results.values()))
 
 
 @whitted.command("renderers")
@@ -772,7 +769,7 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
 )
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write all of it as JSON.")
+@json_option
 @click.pass_context
 def explain(
     ctx: click.Context,
@@ -860,7 +857,7 @@ def explain(
 @click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
 @settings_options
 @click.option("--jobs", type=Whole(1, 1024), metavar="N", help="Processes that prove; default: one a core.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@json_option
 @click.option(
     "-o",
     "--output",
@@ -1014,7 +1011,7 @@ def _check_memory(scenes: Mapping[str, Scene], pixels: int | None, settings: Set
     metavar="DIR",
     help="Where the smallest scene of each kind of failure is kept.",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@json_option
 @click.pass_context
 def stability(
     ctx: click.Context,
@@ -1131,12 +1128,13 @@ def convert(
     metavar="T",
     help="Largest difference that counts as equal.",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the results as JSON.")
+@json_option
 @click.pass_context
 def compare(
     ctx: click.Context, /, a: Path, b: Path, passes: tuple[str, ...] | None, tolerance: float, json_file: Path | None
 ) -> None:
-    """Compare two files of passes (.exr, .npz) or two images (.png, .ppm; values are levels from 0 to 255).
+    """Compare two files of passes (.exr, .npz) or two images (.png, .ppm; values are levels
+    from 0 to the maximum of the file).
 
     Exit status: 0 equal, 1 different, 2 the input or the command is wrong.
     """
@@ -1151,7 +1149,13 @@ def compare(
         images = [path.suffix.lower() in IMAGES for path in (a, b)]
         if images[0] != images[1]:
             hint = "compare two files of passes (.exr, .npz) or two images (.png, .ppm)"
-            raise CommandError(f"{a} and {b}: one holds passes, the other is an 8-bit image", hint)
+            steps = first.metadata["levels"] if images[0] else second.metadata["levels"]
+            image = "an 8-bit image" if steps == "255" else f"an image of levels up to {steps}"
+            raise CommandError(f"{a} and {b}: one holds passes, the other is {image}", hint)
+        most = [side.metadata["levels"] for side in (first, second) if images[0]]
+        if len(set(most)) > 1:
+            message = f"{a} has levels from 0 to {most[0]}, {b} from 0 to {most[1]}: they cannot be compared"
+            raise CommandError(message, "write both with the same maximum, or compare float files (.exr, .npz)")
         both = [name for name in first if name in second]
         for name in passes or ():
             for path, side in ((a, first), (b, second)):
@@ -1180,10 +1184,11 @@ def compare(
 
 
 def _read(path: Path) -> Passes:
-    """A file of passes; an image becomes its levels under the name `beauty`."""
+    """A file of passes; an image becomes its levels under the name `beauty`, their number above 0 in the metadata."""
     import numpy as np
 
     from tracer.passes import Passes
+    from validation.images import ImageError, decode, ppm_size
 
     ending = path.suffix.lower()
     try:
@@ -1193,17 +1198,25 @@ def _read(path: Path) -> Passes:
             raise CommandError(f"{path}: unknown file ending '{ending}'", "expected .exr, .npz, .png or .ppm")
         from PIL import Image
 
-        if (deep := _bits(path)) > 8:
-            hint = "compare float files (.exr, .npz), or convert it to 8 bits"
+        deep = _bits(path)
+        if deep > 8 and ending == ".ppm":
+            data = path.read_bytes()
+            found = decode(data, ppm_size(data))
+            return Passes({"beauty": found.levels.astype(np.float64)}, {"levels": str(found.steps)})
+        if deep > 8:
+            hint = "compare float files (.exr, .npz), or convert it to a PPM or to 8 bits"
             raise CommandError(f"{path}: an image of {deep} bits a channel, expected 8", hint)
         with Image.open(path) as image:
             if image.mode not in ("RGB", "RGBA", "L", "P", "1", "LA"):
                 raise CommandError(f"{path}: an image of mode {image.mode}, expected 8 bits a channel")
-            return Passes({"beauty": np.asarray(image.convert("RGB")).astype(np.float64)})
+            levels = np.asarray(image.convert("RGB")).astype(np.float64)
+            return Passes({"beauty": levels}, {"levels": "255"})
     except CommandError:
         raise
     except FileNotFoundError as error:
         raise CommandError(f"{path}: no such file") from error
+    except ImageError as error:
+        raise CommandError(f"{path}: {error.message}", error.hint) from error
     except (ValueError, SyntaxError) as error:
         text = str(error)
         raise CommandError(text if str(path) in text else f"{path}: {text}") from error

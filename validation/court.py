@@ -188,7 +188,7 @@ class Court:
 
     def _find(self, truth: Truth, side: Side, compared: Sequence[str]) -> Finding:
         self.allowance.restore()
-        pixel = _Pixel(self, truth, side, compared)
+        pixel = Pixel(self, truth, side, compared)
         name, errors = side.renderer.name, pixel.errors
         if not errors:
             return Finding(name)
@@ -202,11 +202,11 @@ class Court:
             name, errors, pixel.seen(), "unexplained", "no rule, no rounding within its claim makes this pixel"
         )
 
-    def causes(self, pixel: _Pixel) -> Iterator[_Possible]:
+    def causes(self, pixel: Pixel) -> Iterator[Possible]:
         """What made a pixel, the likeliest first."""
         x, y = pixel.truth.x, pixel.truth.y
         ways = [
-            _Possible("rule", f"as documented, it {rule.says}", pixel.made(prover))
+            Possible("rule", f"as documented, it {rule.says}", pixel.made(prover))
             for rule in self.documented(pixel.side.renderer)
             for prover in self.following(rule, x, y)
         ]
@@ -214,7 +214,7 @@ class Court:
         ties = [tie.key for tie in pixel.truth.ties if not tie.settled and tie.proved]
         even = "an exact tie that the specification does not settle"
         yield from pixel.makers(
-            [_Possible("tie", even, pixel.made(self.prover.forcing({key: sign}))) for key in ties for sign in (-1, 1)]
+            [Possible("tie", even, pixel.made(self.prover.forcing({key: sign}))) for key in ties for sign in (-1, 1)]
         )
         yield from self.roundings(pixel, self.prover)
         for way in pixel.promising(ways):
@@ -223,7 +223,7 @@ class Court:
         for rule in sorted(self._mistakes, key=lambda rule: rule.says != suspected):
             because = f"truth makes this pixel if it {rule.says}"
             made = [
-                _Possible("mistake", because, pixel.following(rule, prover)) for prover in self.following(rule, x, y)
+                Possible("mistake", because, pixel.following(rule, prover)) for prover in self.following(rule, x, y)
             ]
             for possible in pixel.makers(made, within=CLEARLY**2, sensitivities=1):
                 if not self.refuted(rule, pixel):
@@ -233,19 +233,19 @@ class Court:
                     yield possible
         yield from self.inexcusable(pixel)
 
-    def inexcusable(self, pixel: _Pixel) -> Iterator[_Possible]:
+    def inexcusable(self, pixel: Pixel) -> Iterator[Possible]:
         """The single decision that must have been taken otherwise, whatever that takes: named, but no excuse."""
-        found: list[_Possible] = []
+        found: list[Possible] = []
         for flip in _decisions(self.prover, pixel.truth.x, pixel.truth.y):
             if len(found) < FORCED and pixel.concerns([flip]):
                 claim = pixel.at(getattr(pixel.side.claim, flip.kind))
                 takes = f"numbers changed by {flip.margin:.2g}" if math.isfinite(flip.margin) else "other numbers"
                 because = f"nothing explains it: to decide so takes {takes}, and it {_may(claim)}"
                 made = pixel.made(self.prover.forcing({flip.key: flip.forced}))
-                found.append(_Possible("unexplained", because, made, None, flip, flip.kind))
+                found.append(Possible("unexplained", because, made, None, flip, flip.kind))
         yield from pixel.makers(found, sensitivities=4)
 
-    def refuted(self, rule: Rule, pixel: _Pixel) -> bool:
+    def refuted(self, rule: Rule, pixel: Pixel) -> bool:
         """Whether a renderer is right where that mistake would show: then it does not make it.
 
         A single pixel may look like a mistake by chance; so its neighbours are asked, and others all over the image.
@@ -260,7 +260,7 @@ class Court:
                     truth = self.prover.pixel(x, y, ties=False)
                 except NOWHERE:  # it cannot say
                     continue
-                beside = _Pixel(self, truth, pixel.side, pixel.compared)
+                beside = Pixel(self, truth, pixel.side, pixel.compared)
                 if beside.errors:
                     continue
                 made = [beside.following(rule, other) for other in self.following(rule, x, y)]
@@ -287,7 +287,7 @@ class Court:
         against = self._against[rule, name]
         return against + (asked(around, enough - against) if against < enough else 0) >= enough
 
-    def roundings(self, pixel: _Pixel, prover: Prover, besides: str = "") -> Iterator[_Possible]:
+    def roundings(self, pixel: Pixel, prover: Prover, besides: str = "") -> Iterator[Possible]:
         """Truth with one decision flipped by numbers changed no more than the renderer claims, or with several."""
         x, y = pixel.truth.x, pixel.truth.y
         claims = {kind: pixel.at(getattr(pixel.side.claim, kind)) for kind in MARGINS}
@@ -299,18 +299,18 @@ class Court:
             possible
             for flip in within
             if pixel.concerns([flip])
-            for possible in self.changes(pixel, _State(pixel.made(prover)), flip, claims)
+            for possible in self.changes(pixel, State(pixel.made(prover)), flip, claims)
         ]
         yield from pixel.makers([state.possible(claims, besides) for state in singles])
         yield from self.several(pixel, prover, claims, besides)
 
     def several(
         self,
-        pixel: _Pixel,
+        pixel: Pixel,
         prover: Prover,
         claims: Mapping[str, float],
         besides: str,
-    ) -> Iterator[_Possible]:
+    ) -> Iterator[Possible]:
         """Truth with any number of decisions within the claim taken otherwise: a renderer rounds each by itself.
 
         The set that makes most of the pixel is looked at first: of its passes the first, in the order of the ray, that
@@ -320,10 +320,10 @@ class Court:
         limits = {kind: min(claim, TELLS * pixel.unit, LARGEST) for kind, claim in claims.items()}
         count = itertools.count()
         pixel.left = SENSITIVITIES
-        waiting: list[tuple[tuple[int, int, float], int, _State]] = []
-        seen: set[tuple[_Made | None, frozenset[tuple[Key, int]]]] = set()
+        waiting: list[tuple[tuple[int, int, float], int, State]] = []
+        seen: set[tuple[Made | None, frozenset[tuple[Key, int]]]] = set()
 
-        def wait(states: Iterable[_State], than: _State | None = None) -> None:
+        def wait(states: Iterable[State], than: State | None = None) -> None:
             for state in states:
                 entry = state.numbers, frozenset(state.made.prover.forced.items())
                 same = than is not None and state.made.path == than.made.path
@@ -332,7 +332,7 @@ class Court:
                     unmade, off = pixel.rank(state.made)
                     heapq.heappush(waiting, ((unmade, state.steps, off), next(count), state))
 
-        wait([_State(pixel.made(prover))])
+        wait([State(pixel.made(prover))])
         for _ in range(SETS if prover is self.prover else SETS // HALFWAY):
             if not waiting:
                 return
@@ -356,7 +356,7 @@ class Court:
                     held = state.holding(near, flip)
                     wait(self.changes(pixel, held, flip, claims, [1 if flip.other > 0 else -1]))
 
-    def unhidden(self, state: _State, asked: Key, limits: Mapping[str, float]) -> list[_State]:
+    def unhidden(self, state: State, asked: Key, limits: Mapping[str, float]) -> list[State]:
         """The same with nothing before the light that a decision is about: what hides it may be several spheres."""
         while blockers := state.made.blockers(asked.bounce, asked.light):
             ways = [
@@ -373,12 +373,12 @@ class Court:
 
     def changes(
         self,
-        pixel: _Pixel,
-        state: _State,
+        pixel: Pixel,
+        state: State,
         flip: flips.Flip,
         claims: Mapping[str, float],
         sides: Sequence[int] = (1, -1),
-    ) -> list[_State]:
+    ) -> list[State]:
         """Truth of numbers changed to either side of a decision, by no more than is claimed.
 
         Of those that make the same passes the one that comes nearest to a pixel.
@@ -388,7 +388,7 @@ class Court:
             return []
         margin, prover = flip.margin, state.made.prover
 
-        def changed(delta: float) -> _Made:
+        def changed(delta: float) -> Made:
             return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, flip, delta))
 
         found = []
@@ -399,7 +399,7 @@ class Court:
                 for made in [changed(margin + side * gap)]
                 if made.values is not None
             ]
-            best: dict[int, tuple[tuple[int, float], float, _Made]] = {}
+            best: dict[int, tuple[tuple[int, float], float, Made]] = {}
             for entry in tried:
                 kept = best.get(entry[0][0])
                 if kept is None or entry[0] < kept[0]:
@@ -446,7 +446,7 @@ class Court:
     def _prover(self, rule: Rule, follower: type[Follower]) -> Prover:
         return Prover(self.scene, rule.settings(self.settings), follower=follower, allowance=self.allowance)
 
-    def parted(self, pixel: _Pixel, possible: _Possible) -> Decision:
+    def parted(self, pixel: Pixel, possible: Possible) -> Decision:
         """The first decision that truth and what made the pixel took otherwise."""
         try:
             decision = parting.part(self.prover, possible.made.prover, pixel.truth.x, pixel.truth.y)
@@ -458,27 +458,27 @@ class Court:
 
 
 @dataclass(frozen=True)
-class _Possible:
+class Possible:
     """What may have made a pixel: cause, sentence, truth that follows it, and of a rounding what it changes."""
 
     cause: str
     because: str
-    made: _Made
+    made: Made
     change: float | None = None
     flip: flips.Flip | None = None
     kind: str = ""
 
 
 @dataclass(frozen=True)
-class _State:
+class State:
     """Truth with numbers changed, and decisions taken otherwise."""
 
-    made: _Made
+    made: Made
     change: float = 0.0
     flip: flips.Flip | None = None  # the first decision by which numbers are changed, or that is forced
     forced: tuple[flips.Flip, ...] = ()
     moved: tuple[Key, ...] = ()  # the decisions by which numbers are changed
-    numbers: _Made | None = None  # the same without forced decisions; None: as they are
+    numbers: Made | None = None  # the same without forced decisions; None: as they are
 
     @property
     def steps(self) -> int:
@@ -491,22 +491,22 @@ class _State:
         near = (flip for flip in self.made.decisions if self.change + flip.margin <= limits[flip.kind])
         return [flip for flip in near if flip.key not in taken]
 
-    def forcing(self, flip: flips.Flip) -> _State:
+    def forcing(self, flip: flips.Flip) -> State:
         """With one more decision otherwise."""
         taken = {flip.key: flip.forced}
         made = self.made.otherwise(taken)
         return replace(self, made=made, forced=(*self.forced, flip), flip=self.flip or flip)
 
-    def changing(self, flip: flips.Flip, change: float, made: _Made) -> _State:
+    def changing(self, flip: flips.Flip, change: float, made: Made) -> State:
         """With numbers changed by so much more."""
         moved = (*self.moved, flip.key)
         return replace(self, made=made, change=self.change + change, flip=self.flip or flip, moved=moved, numbers=made)
 
-    def holding(self, near: Iterable[flips.Flip], but: flips.Flip) -> _State:
+    def holding(self, near: Iterable[flips.Flip], but: flips.Flip) -> State:
         """With all decisions that are near, but for one, as they are, however numbers change."""
         return replace(self, made=self.made.otherwise({flip.key: flip.sign for flip in near if flip.key != but.key}))
 
-    def possible(self, claims: Mapping[str, float], besides: str) -> _Possible:
+    def possible(self, claims: Mapping[str, float], besides: str) -> Possible:
         """As a cause."""
         assert self.flip is not None
         kinds = {flip.kind for flip in (self.flip, *self.forced)}
@@ -517,21 +517,21 @@ class _State:
         does = f"{numbers}, with {decisions}," if numbers and count else numbers or f"truth with {decisions}"
         may = _may(min(claims[kind] for kind in kinds))
         kind = "" if count > 1 or (count and self.change) else self.flip.kind
-        return _Possible(
+        return Possible(
             "rounding", f"rounding: {does} makes this pixel, and it {may}{besides}", self.made, change, self.flip, kind
         )
 
 
-class _Made:
+class Made:
     """A pixel of truth that is changed somehow; `beyond`: of a decision that flips, the same farther off."""
 
     def __init__(self, prover: Prover, x: int, y: int, encoding: Encoding | None) -> None:
         self.prover, self.x, self.y, self.encoding = prover, x, y, encoding
-        self.beyond: _Made | None = None
+        self.beyond: Made | None = None
 
-    def otherwise(self, forced: Mapping[Key, int]) -> _Made:
+    def otherwise(self, forced: Mapping[Key, int]) -> Made:
         """The same with decisions taken otherwise."""
-        other = _Made(self.prover.forcing(forced), self.x, self.y, self.encoding)
+        other = Made(self.prover.forcing(forced), self.x, self.y, self.encoding)
         if self.beyond is not None:
             other.beyond = self.beyond.otherwise(forced)
         return other
@@ -633,7 +633,7 @@ class _Made:
         return {name: max(channels) for name, channels in found.items()}
 
 
-class _Pixel:
+class Pixel:
     """What a renderer drew at one pixel, beside truth."""
 
     def __init__(self, court: Court, truth: Truth, side: Side, compared: Sequence[str]) -> None:
@@ -695,20 +695,20 @@ class _Pixel:
         changed = [{name for name in self.errors if _changes(flip.key, name)} for flip in together]
         return all(changed) and len(set[str]().union(*changed)) == len(self.errors)
 
-    def made(self, prover: Prover) -> _Made:
+    def made(self, prover: Prover) -> Made:
         """The same pixel of changed truth."""
-        return _Made(prover, self.truth.x, self.truth.y, self.side.encoding)
+        return Made(prover, self.truth.x, self.truth.y, self.side.encoding)
 
-    def following(self, rule: Rule, prover: Prover) -> _Made:
+    def following(self, rule: Rule, prover: Prover) -> Made:
         """The same of truth that follows a rule, which may be one about files."""
         encoding = self.side.encoding
         if rule.wraps and encoding:
             encoding = replace(encoding, wraps=True)
-        return _Made(prover, self.truth.x, self.truth.y, encoding)
+        return Made(prover, self.truth.x, self.truth.y, encoding)
 
     def makers(
-        self, possible: Sequence[_Possible], *, within: float = math.inf, sensitivities: int | None = None
-    ) -> Iterator[_Possible]:
+        self, possible: Sequence[Possible], *, within: float = math.inf, sensitivities: int | None = None
+    ) -> Iterator[Possible]:
         """Of several those that make this pixel, the nearest first.
 
         `within`: in rough tolerances, what is no more worth a look; `sensitivities`: how many may be worked out, where
@@ -721,12 +721,12 @@ class _Pixel:
             if score < math.inf and score <= within and not self.idle(entry) and self.made_by(entry.made):
                 yield entry
 
-    def unsaid(self, made: _Made) -> int:
+    def unsaid(self, made: Made) -> int:
         """How many lights it sees otherwise, if only where that means nothing."""
         seen = (name for name in self.values if lookup(name).quantity == "visibility")
         return sum(made.value(name)[0].value != self.values[name][0] for name in seen)
 
-    def idle(self, possible: _Possible) -> bool:
+    def idle(self, possible: Possible) -> bool:
         """Whether something that is no rounding is nothing but truth in all that is off: then it is not the cause."""
         made = possible.made
         if possible.cause == "rounding" or made.encoding != self.side.encoding:
@@ -737,16 +737,16 @@ class _Pixel:
             for name in self.errors
         )
 
-    def promising(self, possible: Sequence[_Possible]) -> list[_Possible]:
+    def promising(self, possible: Sequence[Possible]) -> list[Possible]:
         """Of several that make this pixel in part at most, those that make the most of what is off."""
 
-        def missed(entry: _Possible) -> int:
+        def missed(entry: Possible) -> int:
             return sum(self.far(name, self.values[name], entry.made) > CLEARLY for name in self.errors)
 
         ranked = sorted((missed(entry), place) for place, entry in enumerate(possible) if entry.made.values is not None)
         return [possible[place] for _, place in ranked[:HALFWAY]]
 
-    def rank(self, made: _Made) -> tuple[int, float]:
+    def rank(self, made: Made) -> tuple[int, float]:
         """How many passes changed truth does not make, from the first of them on, and how far off it is: roughly.
 
         Next to an outline a value may be off by a root of the unit.
@@ -770,13 +770,13 @@ class _Pixel:
                 off += min(math.log2(error / least), BITS) if least > 0 and error < math.inf else BITS
         return unmade, off
 
-    def score(self, made: _Made) -> float:
+    def score(self, made: Made) -> float:
         """How far changed truth is from this pixel, in rough tolerances; inf: another id or visibility."""
         if made.values is None:
             return math.inf
         return max((self.far(name, values, made) for name, values in self.values.items()), default=0.0)
 
-    def far(self, name: str, values: Sequence[float], made: _Made) -> float:
+    def far(self, name: str, values: Sequence[float], made: Made) -> float:
         """The same of one pass; 0 within the tolerance."""
         if lookup(name).quantity in ("id", "visibility"):
             return 0.0 if made.sees(name, values[0]) else math.inf
@@ -785,15 +785,15 @@ class _Pixel:
         allowed = self.tolerance(name, sensitivity if math.isfinite(sensitivity) else 1.0, made.size(name))
         return 0.0 if error <= allowed else error / allowed if allowed else math.inf
 
-    def made_by(self, made: _Made) -> bool:
+    def made_by(self, made: Made) -> bool:
         """Whether changed truth makes every value of this pixel within the renderer's tolerance there."""
         return not self.wanting(made)
 
-    def wanting(self, made: _Made) -> str:
+    def wanting(self, made: Made) -> str:
         """The first pass along the ray that changed truth does not make; "": it makes all."""
         return next((name for name in self.in_order if not self.agrees(name, self.values[name], made)), "")
 
-    def agrees(self, name: str, values: Sequence[float], made: _Made) -> bool:
+    def agrees(self, name: str, values: Sequence[float], made: Made) -> bool:
         """Whether one pass does."""
         if lookup(name).quantity in ("id", "visibility"):
             return made.sees(name, values[0])

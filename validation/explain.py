@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from flint import arb, ctx, fmpq
 
-import tracer.margins
 from tracer.passes import MARGINS, lookup, names, quantise
 from validation.compare import Judge, Record, json_value
 from validation.flips import Flip, flipped, flips
 from validation.follow import Hit, Key, Vector
 from validation.renderers import Renderer, Settings, Uncertainty
-from validation.run import ANALYSIS_MAX_PIXELS, InputError, RendererError, blaming, draw, shrink, why_not
+from validation.run import ANALYSIS_MAX_PIXELS, InputError, RendererError, analyse, blaming, draw, shrink, why_not
 from validation.truth import NOWHERE, Ball, Prover, Tie, Truth
 from validation.verdict import Court, Side
 
@@ -732,12 +731,7 @@ def explain(
         notes.append(f"{too_large(scene)}; {small_enough(scene, settings, ())}")
     else:
         say(f"{label}: finding the margins")
-        analysis = tracer.margins.analyse(
-            scene,
-            sample=settings.sample,
-            shadow_epsilon=settings.shadow_epsilon,
-            max_reflections=settings.max_reflections,
-        )
+        analysis = analyse(scene, settings)
         margins = {kind: float(analysis.margins[kind][y, x]) for kind in MARGINS}
         lit = [seen.state not in ("behind", "here") for seen in bounces[0].lights]
         for renderer in renderers:

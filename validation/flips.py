@@ -9,8 +9,8 @@ where it does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from flint import arb, ctx, fmpq
@@ -171,16 +171,6 @@ def _length(prover: Prover, x: int, y: int) -> float:
 
 def _number(value: arb) -> float:
     return float(value.mid())
-
-
-def both(together: Sequence[Flip]) -> Flip:
-    """One way to change the numbers, that moves several decisions: what they want on the average."""
-    if len(together) == 1:
-        return together[0]
-    names = {name for flip in together for name in flip.signs}
-    signs = {name: sum(flip.signs.get(name, 0) for flip in together) / len(together) for name in names}
-    turn = [sum(flip.turn[k] for flip in together) / len(together) for k in range(3)]
-    return replace(together[0], signs=signs, turn=(turn[0], turn[1], turn[2]))
 
 
 def changed(prover: Prover, x: int, y: int, flip: Flip, delta: float) -> Prover:

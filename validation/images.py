@@ -97,6 +97,21 @@ def decode(data: bytes, size: tuple[int, int]) -> Image:
     raise ImageError(f"it is no image: it begins with {'the text ' * bool(text)}{_show(data)}", FORMATS)
 
 
+def ppm_size(data: bytes) -> tuple[int, int]:
+    """Columns and rows that a PPM file says it has.
+
+    Raises:
+        ImageError: its header is wrong, or it is another kind of file.
+    """
+    if kind(data) != "PPM":
+        raise ImageError(f"it is {kind(data) or 'no image'}, expected PPM", FORMATS)
+    columns, rows = _header(data)[0]
+    if data.startswith(b"P3") and 3 * columns * rows > len(data):
+        # Before there is memory for it.
+        raise ImageError(f"it is too short for {columns}x{rows} pixels", UNCLOSED)
+    return columns, rows
+
+
 def _show(raw: bytes, most: int = 24) -> str:
     """Bytes in quotation marks, others than printable ones escaped."""
     return repr(raw[:most])[1:] + "..." * (len(raw) > most)

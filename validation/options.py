@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import click
@@ -15,6 +16,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SAMPLES = ("corner", "center", "bottom-left", "top-right", "inclusive")
 #: As tracer limits them.
 MOST_THREADS = 1024
+#: That of validation.run, which takes longer to import than help may take; a test holds them together.
+MOST_VERDICTS = 100
 #: A whole number of more digits than any of ours.
 TOO_LONG = re.compile("0*[1-9][0-9]{18,}")
 #: What --no-limits allows; a test holds the number to that of the command line.
@@ -187,3 +190,28 @@ def drawing_options(function: Function) -> Function:
     ):
         function = option(function)
     return function
+
+
+def json_option(function: Function) -> Function:
+    """--json FILE."""
+    file = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--json", "json_file", type=file, help="Write the results as JSON.")(function)
+
+
+def results_options(each: str, more: str = "") -> Callable[[Function], Function]:
+    """Where the results go, and how many pixels are judged; `each`: of what, such as "each image"; `more`: about it."""
+
+    def decorate(function: Function) -> Function:
+        judged = click.option(
+            "--verdicts",
+            type=Whole(hint=f"--verdicts 500 judges 500 pixels of {each} at most, --verdicts 0 none"),
+            default=MOST_VERDICTS,
+            show_default=True,
+            metavar="N",
+            help=f"Of {each} work out N differing pixels exactly: who is wrong, and why; a random sample where more "
+            f"differ; 0: none.{more}",
+        )
+        report = click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
+        return report(json_option(judged(function)))
+
+    return decorate

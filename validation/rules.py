@@ -27,7 +27,7 @@ class Rule:
     `says`: a clause that follows a renderer's name, such as "ignores the near plane". `follower`: how truth follows it;
     `settings`: what else is different. `choices`: of a rule that leaves decisions open, every way to take some of them
     otherwise at column x, row y, the likeliest first; it stands in the place of `follower`. `wraps`: the colours are
-    right, but in a file those above 1 begin again at 0.
+    right, but in a file those above 1 begin again at 0. `hint`: what to do, of a mistake.
     """
 
     says: str
@@ -35,6 +35,7 @@ class Rule:
     settings: Callable[[Settings], Settings] = field(default=lambda settings: settings)
     choices: Callable[[int, int], Iterator[type[Follower]]] | None = None
     wraps: bool = False
+    hint: str = ""
 
 
 class _NoNearPlane(Follower):
@@ -192,6 +193,12 @@ MISTAKES = (
     Rule("clamps what a mirror shows to 1", _ClampedMirror),
     Rule("shows BACK where a reflected ray hits nothing", _MirroredBackground),
     Rule("does not clamp colors: those above 1 begin again at 0", wraps=True),
+)
+
+#: A mistake that shows at some pixels and not at others, as rounding has it: see validation.acne.
+ACNE = Rule(
+    "hides some lights behind the very sphere that the shadow ray starts on: shadow acne",
+    hint="a shadow ray meets the surface it starts on again, near t = 0: let hits count from t > 0.0001 on",
 )
 
 

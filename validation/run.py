@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase as fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,8 @@ PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr
 #: As a path it stands for standard input.
 STDIN = Path("-")
 
-#: The most pixels of a scene and pair that are judged, unless told otherwise: a few seconds of work.
+#: The most pixels of a scene and pair that are judged, unless told otherwise: a few seconds of work, or a minute where
+#: nothing explains them.
 MOST_VERDICTS = 100
 
 #: A larger scene is compared at a smaller size: 4 million pixels take the margins 2 GB and most of a minute.
@@ -52,6 +53,13 @@ class Note:
     scene: str
     renderer: str
     message: str
+
+
+class Amount(NamedTuple):
+    """How many pixels of a scene and pair are judged; `first`: no more, if so many of them all come to the same."""
+
+    most: int
+    first: int = 0
 
 
 @dataclass(frozen=True)
@@ -235,6 +243,16 @@ def check_memory(
         raise InputError(f"{label}: error: {error}\n  hint: a smaller --size, or fewer {fewer}") from error
 
 
+def analyse(scene: Scene, settings: Settings) -> Analysis:
+    """Margins and sensitivities of every pixel, drawn with these settings."""
+    return tracer.margins.analyse(
+        scene,
+        sample=settings.sample,
+        shadow_epsilon=settings.shadow_epsilon,
+        max_reflections=settings.max_reflections,
+    )
+
+
 def draw(renderer: Renderer, label: str, scene: Scene, passes: Sequence[str], settings: Settings) -> Passes:
     """What a renderer draws of a scene, whose file or name is `label`.
 
@@ -388,6 +406,7 @@ def validate(
     settings: Settings | None = None,
     limits: bool = True,
     verdicts: int = MOST_VERDICTS,
+    first: int = 0,
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
     all_pairs: bool = False,
@@ -397,8 +416,9 @@ def validate(
     `scenes`: Scene objects by name, or paths of files and folders. `passes`: None compares all that both have; one
     asked for that a renderer lacks is a failure. `size`: instead of the scene's own. Passes that a renderer cannot draw
     in time at this size are compared at a smaller one, and a note says so. `verdicts`: the most pixels of a scene and
-    pair that are judged where they differ; of more a random sample. `all_pairs`: every pair of all of them, each drawn
-    once.
+    pair that are judged where they differ; of more a random sample. `first`: no more are judged than so many of them
+    if these all come to the same mistake, or to none that is known; 0: all are. `all_pairs`: every pair of all of them,
+    each drawn once.
 
     Raises:
         SceneFilesError: a scene cannot be read.
@@ -423,17 +443,15 @@ def validate(
     usable = result.usable(every)
     against_each = itertools.combinations(every, 2) if all_pairs else itertools.product(tested, references)
     chosen = [
-        (first, second)
-        for first, second in against_each
-        if first.name != second.name and first in usable and second in usable
+        (one, other) for one, other in against_each if one.name != other.name and one in usable and other in usable
     ]
     for label, at_size in at_sizes.items():
         shared = _Shared()
-        for first, second in chosen:
+        for one, other in chosen:
             if progress:
-                progress(f"{label}: {first.name} against {second.name}")
+                progress(f"{label}: {one.name} against {other.name}")
             try:
-                _pair(result, label, at_size, first, second, passes, verdicts, shared, on_rendered)
+                _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
             except _PairError as error:
                 result.fail(error.note)
     return result
@@ -495,7 +513,7 @@ def _pair(
     first: Renderer,
     second: Renderer,
     passes: Sequence[str] | None,
-    verdicts: int,
+    verdicts: Amount,
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
 ) -> None:
@@ -588,7 +606,7 @@ def _compare(
     first: Renderer,
     second: Renderer,
     passes: Sequence[str],
-    verdicts: int,
+    verdicts: Amount,
     draw: Mapping[str, Sequence[str]],
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
@@ -602,12 +620,7 @@ def _compare(
     if a is None or b is None:
         return
     if at not in shared.analyses:
-        shared.analyses[at] = tracer.margins.analyse(
-            scene,
-            sample=settings.sample,
-            shadow_epsilon=settings.shadow_epsilon,
-            max_reflections=settings.max_reflections,
-        )
+        shared.analyses[at] = analyse(scene, settings)
     analysis = shared.analyses[at]
     claims: list[Uncertainty] = []
     for side in (first, second):
@@ -637,13 +650,15 @@ def _compare(
                 shared.courts[at] = verdict.Court(scene, settings, analysis)
             court = shared.courts[at]
             pair = sides[0], sides[1]
-            judged = verdict.judge(scene, label, settings, analysis, *pair, found, most=verdicts, court=court)
+            judged = verdict.judge(
+                scene, label, settings, analysis, *pair, found, most=verdicts.most, first=verdicts.first, court=court
+            )
         except verdict.RulesError as error:
             result.fail(Note(label, error.renderer, str(error)))
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts else None))
+        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None))
     result.comparisons += [replace(comparison, maps=None) for comparison in found]
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -201,7 +200,11 @@ def print_verdicts(verdicts: Verdicts) -> None:
     """A line a group of pixels: who is off, on which decision, and why."""
     judged = len(verdicts.verdicts) + len(verdicts.unproved)
     sample = ""
-    if judged < verdicts.differ:
+    if verdicts.stopped:
+        (finding,) = verdicts.verdicts[0].wrong
+        same = "come to one mistake" if finding.cause == "mistake" else "are unexplained"
+        sample = f"; the first {judged} judged, taken at random from every sphere, all {same}; --verdicts N judges more"
+    elif judged < verdicts.differ:
         sample = f", {judged} of them judged, chosen at random" if judged else ", none of them judged"
     pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
     click.echo(f"{verdicts.scene} ({verdicts.renderer}, {verdicts.reference}): {pixels}{sample}")
@@ -421,17 +424,15 @@ def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> N
 
 def print_check(result: Checked) -> None:
     """The convention of images, what it explains, what is left, and why."""
+    from validation.rules import ACNE
+
     for line in result.about():
         click.echo(line)
-    causes: Counter[str] = Counter()
-    for verdicts in result.validation.verdicts:
-        causes.update(verdict.renderer.because for verdict in verdicts.verdicts if verdict.renderer.cause == "mistake")
-    judged = sum(len(verdicts.verdicts) for verdicts in result.validation.verdicts)
-    for because, count in causes.most_common(MOST_GROUPS):
-        if count < judged / 5:
-            continue  # a few pixels look like many things
-        says = because.removeprefix("truth makes this pixel if it ")
-        click.secho(f"most likely: it {says} ({count} of {judged} pixels judged)", fg="red", color=colorful())
+    for says, count in result.likely().items():
+        pixels = f"({count} of {result.judged} pixels judged)"
+        click.secho(f"most likely: it {says} {pixels}", fg="red", color=colorful())
+        if says == ACNE.says:
+            click.echo(f"  hint: {ACNE.hint}")
     for verdicts in result.validation.verdicts:
         print_verdicts(verdicts)
     print_notes(result.validation)
@@ -439,5 +440,36 @@ def print_check(result: Checked) -> None:
     if failed := len(result.validation.failures):
         click.echo(f"{failed} of {failed + len(result.left)} scenes failed")
     elif result.validation.comparisons:
-        right = "right" if result.fit is None or result.fit.convention.specified else "right but for its convention"
-        click.echo(right if result.status == 0 else "not right")
+        click.echo(result.says)
+
+
+def print_checks(results: Mapping[str, Checked]) -> None:
+    """A row for each program: whether it is right, its convention, what is left, and the likeliest reason."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("program", overflow="fold")
+    table.add_column("result", no_wrap=True)
+    table.add_column("convention", no_wrap=True)
+    table.add_column("left", justify="right", no_wrap=True)
+    table.add_column("max error", justify="right", no_wrap=True)
+    table.add_column("most likely", overflow="fold")
+    for name, result in results.items():
+        fit, failures = result.fit, result.validation.failures
+        reasons = [f"failed at {len(failures)}: {failures[0].message.partition(chr(10))[0]}"] if failures else []
+        reasons += [fit.convention.fault] if fit and fit.convention.fault else []
+        reasons += [f"it {says}" for says in result.likely()]
+        largest = max((comparison.max or 0.0 for comparison in result.validation.comparisons), default=None)
+        table.add_row(
+            Text(name.removeprefix("cmd:")),
+            Text(result.says.partition(" but")[0], style="bold red" if result.status else "green"),
+            fit.convention.short if fit else "-",
+            f"{sum(entry.off for entry in result.left)}/{sum(entry.pixels for entry in result.left)}",
+            number(largest),
+            Text("; ".join(reasons) or ("unexplained" if result.judged else "-")),
+        )
+    console().print(table)
+    click.echo("left: pixels that the convention does not explain / all; max error: of colours in [0, 1]")
+    right = sum(result.status == 0 for result in results.values())
+    click.echo(f"{right} of {len(results)} programs are right")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import random
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from validation.acne import acne, scattered
 from validation.compare import json_value
 from validation.court import EXPLAINED, Court, Finding, RulesError, Side
 from validation.parting import Decision
@@ -66,20 +68,37 @@ class Verdict:
 
 @dataclass
 class Group:
-    """Pixels with the same wrong renderer, decision and cause."""
+    """Pixels with the same wrong renderer, cause and decision; of a mistake whatever it makes of decisions."""
 
     verdicts: list[Verdict]
     finding: Finding  # of the first
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """Who is wrong, the cause, the decision, and why: what all its pixels have in common."""
+        """Who is wrong, the cause, the decision but for a mistake's, and why: what all its pixels have in common."""
         return _key(self.finding)
 
     @property
     def explained(self) -> bool:
         """Whether the cause explains it."""
         return self.finding.explained
+
+    @property
+    def ways(self) -> int:
+        """In how many ways a mistake shows in its pixels; 1 of everything else."""
+        if self.finding.cause != "mistake":
+            return 1
+        every = (finding for verdict in self.verdicts for finding in verdict.wrong)
+        return len({finding.decision.pattern for finding in every if _key(finding) == self.key and finding.decision})
+
+    def what(self, count: int) -> str:
+        """What that many pixels have in common, as a clause that follows the renderer's name."""
+        decision = self.finding.decision
+        if decision is None:
+            return ""
+        if (ways := self.ways) > 1:
+            return f"parts from truth in {ways} ways, for example it {decision.pattern}"
+        return decision.says if count == 1 else decision.pattern
 
     def sentence(self) -> str:
         """One line."""
@@ -89,9 +108,7 @@ class Group:
         place = f"{'at' if count == 1 else 'e.g. at'} {first.x} {first.y}"
         if finding.right:
             return f"{pixels}: neither is off by more than it claims ({place})"
-        assert finding.decision is not None
-        what = finding.decision.says if count == 1 else finding.decision.pattern
-        return f"{pixels}: {finding.renderer} {what} ({place}): {finding.because}"
+        return f"{pixels}: {finding.renderer} {self.what(count)} ({place}): {finding.because}"
 
     def record(self) -> Record:
         """For the result file."""
@@ -134,6 +151,8 @@ class Verdicts:
     differ: int  # pixels in which some pass differs
     verdicts: list[Verdict]
     unproved: list[tuple[int, int]] = field(default_factory=list)  # where no precision was enough for truth
+    #: Whether no more were judged than the first few, as these came to the same.
+    stopped: bool = False
 
     @property
     def explained(self) -> bool:
@@ -141,7 +160,7 @@ class Verdicts:
         return not self.unproved and all(verdict.explained for verdict in self.verdicts)
 
     def groups(self) -> list[Group]:
-        """Pixels by wrong renderer, cause and decision; those that nothing explains first, then the largest."""
+        """Pixels in groups; those that nothing explains first, then the largest."""
         found: dict[tuple[str, ...], Group] = {}
         for verdict in self.verdicts:
             for finding in verdict.wrong or (verdict.renderer,):
@@ -159,11 +178,13 @@ class Verdicts:
             "unproved": [list(place) for place in self.unproved],
             "explained": self.explained,
             "groups": [group.record() for group in self.groups()],
+            **({"stopped": True} if self.stopped else {}),
         }
 
 
 def _key(finding: Finding) -> tuple[str, str, str, str]:
-    pattern = finding.decision.pattern if finding.decision else ""
+    # One mistake makes many decisions wrong.
+    pattern = finding.decision.pattern if finding.decision and finding.cause != "mistake" else ""
     # What these say has numbers of the pixel in it.
     because = "" if finding.cause in ("rounding", "unexplained") else finding.because
     return "" if finding.right else finding.renderer, finding.cause, pattern, because
@@ -210,11 +231,13 @@ def judge(
     comparisons: Sequence[Comparison],
     *,
     most: int,
+    first: int = 0,
     court: Court | None = None,
 ) -> Verdicts | None:
     """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does.
 
-    `court`: that of other pairs of the same scene, settings and analysis.
+    `first`: no more are judged than so many of them, taken from all spheres, if these all come to the same that excuses
+    nothing; 0: all are. `court`: that of other pairs of the same scene, settings and analysis.
 
     Raises:
         RulesError: the documented rules of one of them failed.
@@ -225,21 +248,88 @@ def judge(
     chosen = sorted(pixels, key=lambda place: (place[1], place[0]))
     if len(chosen) > most:
         # The same sample for the same picture.
-        chosen = sorted(random.Random(0).sample(chosen, most), key=lambda place: (place[1], place[0]))
-    court = court or Court(scene, settings, analysis)
-    compared = tuple(comparison.pass_name for comparison in comparisons if comparison.maps is not None)
-    verdicts, unproved = [], []
-    for x, y in chosen:
-        edge = any(
+        chosen = random.Random(0).sample(chosen, most)
+    edges = {
+        (x, y): any(
             bool(comparison.maps.edge[y, x])
             for comparison in comparisons
             if comparison.maps is not None and comparison.pass_name in pixels[x, y]
         )
+        for x, y in chosen
+    }
+    if first:
+        chosen = _varied(chosen, lambda place: (int(analysis.ids[place[1], place[0]]), edges[place]))
+    else:
+        chosen.sort(key=lambda place: (place[1], place[0]))
+    court = court or Court(scene, settings, analysis)
+    compared = tuple(comparison.pass_name for comparison in comparisons if comparison.maps is not None)
+    sides = renderer, reference
+    verdicts: list[Verdict] = []
+    unproved: list[tuple[int, int]] = []
+    for x, y in chosen:
         try:
             truth = court.truth(x, y)
-            found = [court.find(truth, side, compared) for side in (renderer, reference)]
+            found = [court.find(truth, side, compared) for side in sides]
         except NOWHERE:
             unproved.append((x, y))
             continue
-        verdicts.append(Verdict(x, y, tuple(pixels[x, y]), truth, found[0], found[1], edge))
-    return Verdicts(label, renderer.renderer.name, reference.renderer.name, len(pixels), verdicts, unproved)
+        verdicts.append(Verdict(x, y, tuple(pixels[x, y]), truth, found[0], found[1], edges[x, y]))
+        if len(verdicts) == first < len(chosen) and not unproved:
+            few = speckles(court, verdicts, sides, compared, pixels)
+            if _same(few):
+                return Verdicts(label, *_names(sides), len(pixels), _in_order(few), stopped=True)
+    verdicts = speckles(court, verdicts, sides, compared, pixels)
+    unproved.sort(key=lambda place: (place[1], place[0]))
+    return Verdicts(label, *_names(sides), len(pixels), _in_order(verdicts), unproved)
+
+
+def _names(sides: tuple[Side, Side]) -> tuple[str, str]:
+    return sides[0].renderer.name, sides[1].renderer.name
+
+
+def _in_order(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    return sorted(verdicts, key=lambda verdict: (verdict.y, verdict.x))
+
+
+def _varied(places: Sequence[tuple[int, int]], kind: Callable[[tuple[int, int]], object]) -> list[tuple[int, int]]:
+    """In random order, the first of every kind before the second of any."""
+    kinds: dict[object, list[tuple[int, int]]] = {}
+    for place in random.Random(0).sample(places, len(places)):
+        kinds.setdefault(kind(place), []).append(place)
+    turns = itertools.zip_longest(*kinds.values())
+    return [place for turn in turns for place in turn if place is not None]
+
+
+def _same(verdicts: Sequence[Verdict]) -> bool:
+    """Whether all come to one mistake of one renderer, or to nothing that explains what it did."""
+    found = {(finding.renderer, finding.cause, _mistake(finding)) for of in verdicts for finding in of.wrong}
+    return len(found) == 1 and all(not verdict.explained for verdict in verdicts)
+
+
+def _mistake(finding: Finding) -> str:
+    return finding.because if finding.cause == "mistake" else ""
+
+
+def speckles(
+    court: Court,
+    verdicts: Sequence[Verdict],
+    sides: tuple[Side, Side],
+    compared: Sequence[str],
+    differ: Collection[tuple[int, int]],
+) -> list[Verdict]:
+    """The same verdicts, of pixels that nothing explains with shadow acne where it does; `differ`: all that differ."""
+    told = list(verdicts)
+    ids = court.analysis.ids
+    over = np.zeros(ids.shape, dtype=bool)
+    for x, y in differ:
+        over[y, x] = True
+    for place, side in enumerate(sides):
+        found = {}
+        for k, verdict in enumerate(told):
+            unexplained = verdict.findings[place].cause == "unexplained"
+            if unexplained and (one := acne(court, verdict.truth, side, compared)):
+                found[k] = one
+        if scattered([(told[k].x, told[k].y) for k in found], over, ids):
+            for k, one in found.items():
+                told[k] = replace(told[k], reference=one) if place else replace(told[k], renderer=one)
+    return told

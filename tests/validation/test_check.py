@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import html
 import itertools
+import os
+import re
 import shlex
 import sys
 from collections.abc import Callable
@@ -20,11 +23,13 @@ from doubles import with_patch
 from PIL import Image
 
 import tracer
+import validation.check
 from tracer.passes import SAMPLES, Sample
-from validation import Settings
-from validation.check import LAYOUTS, Convention, Picture, check, fit
+from validation import Settings, cli
+from validation.check import FIRST_ALIKE, LAYOUTS, Convention, Picture, check, fit
 from validation.encoding import QUANTISATIONS, Encoding
 from validation.run import InputError, resized
+from validation.terminal import print_check
 
 CONVENTIONS = [
     Convention(sample, flipped, quantisation)
@@ -163,6 +168,52 @@ def test_the_defect_is_found_beside_the_convention(name: str) -> None:
     assert left.off == left.by_one + left.by_more > 20
 
 
+ACNE_SAYS = "hides some lights behind the very sphere that the shadow ray starts on: shadow acne"
+
+
+@pytest.mark.parametrize("scene", [full, cut], ids=["mirrors", "inside"])
+def test_shadow_acne_is_named(scene: Callable[[], tracer.Scene]) -> None:
+    """It comes and goes with rounding, so no rule makes it: of every pixel truth is asked which lights are hidden."""
+    image = picture(scene(), Convention("center"), with_patch(hidden=planted.shadow_acne))
+    result = check([image], verdicts=40)
+    (verdicts,) = result.validation.verdicts
+    told = [verdict.renderer for verdict in verdicts.verdicts]
+    named = [finding for finding in told if finding.because == f"truth makes this pixel if it {ACNE_SAYS}"]
+    assert len(named) >= 0.9 * len(told) > 0, "a reflected ray may meet its own sphere again as well"
+    assert {finding.cause for finding in named} == {"mistake"}
+    for finding in named:
+        assert finding.decision is not None
+        assert finding.decision.says.startswith("hides light ")
+        assert finding.decision.says.endswith(", where its shadow ray starts")
+        assert finding.decision.t == 0
+    assert result.status == 1
+
+
+def test_whole_areas_in_their_own_shadow_are_no_acne() -> None:
+    """Speckles alone tell that rounding is behind it."""
+
+    def hidden(original: Any, tables: Any, x: Any, to_light: Any, light: int, epsilon: float) -> Any:
+        return original(tables, x, to_light, light, epsilon) | ((x.start == 0) & (light == 0))
+
+    result = check([picture(full(), Convention(), with_patch(hidden=hidden))], verdicts=30)
+    (verdicts,) = result.validation.verdicts
+    assert {verdict.renderer.cause for verdict in verdicts.verdicts} == {"unexplained"}
+    assert len(verdicts.verdicts) == 30
+
+
+def test_two_pixels_in_their_own_shadow_are_no_acne() -> None:
+    lit = picture(full(), Convention())
+    acne = picture(full(), Convention(), with_patch(hidden=planted.shadow_acne))
+    rows, columns = np.nonzero((lit.levels != acne.levels).any(axis=-1))
+    for count, cause in ((2, "unexplained"), (3, "mistake")):
+        levels = lit.levels.copy()
+        for k in range(count):
+            place = rows[k * len(rows) // 3], columns[k * len(rows) // 3]
+            levels[place] = acne.levels[place]
+        (verdicts,) = check([dataclasses.replace(lit, levels=levels)]).validation.verdicts
+        assert [verdict.renderer.cause for verdict in verdicts.verdicts] == [cause] * count
+
+
 @pytest.mark.parametrize("convention", SOME, ids=lambda convention: "-".join(map(str, dataclasses.astuple(convention))))
 def test_colors_that_are_not_clamped(convention: Convention) -> None:
     assert (colors(full(), "corner") > 1).any()
@@ -223,6 +274,83 @@ def test_an_image_of_something_else() -> None:
     assert result.about()[0].startswith("no known convention explains the image; as: samples at the top-left corner")
 
 
+def noise(of: Picture, seed: int = 1) -> Picture:
+    """Every third pixel is anything."""
+    rng = np.random.default_rng(seed)
+    anything = rng.integers(0, 256, of.levels.shape)
+    return dataclasses.replace(
+        of, levels=np.where(rng.random(of.levels.shape[:2])[..., None] < 1 / 3, anything, of.levels)
+    )
+
+
+def test_what_comes_to_the_same_is_judged_a_few_times(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every sphere has one of the few, and so has what lies behind them."""
+    result = check([noise(picture(full(), Convention()))])
+    (verdicts,) = result.validation.verdicts
+    assert verdicts.stopped
+    assert len(verdicts.verdicts) == FIRST_ALIKE < verdicts.differ
+    assert {verdict.truth.id for verdict in verdicts.verdicts} == {-1, 0, 1, 2}
+    places = [(verdict.y, verdict.x) for verdict in verdicts.verdicts]
+    assert places == sorted(places)
+    assert verdicts.record()["stopped"] is True
+    print_check(result)
+    told = "the first 12 judged, taken at random from every sphere, all are unexplained; --verdicts N judges more"
+    assert f"{verdicts.differ} pixels differ; {told}\n" in capsys.readouterr().out
+    (more,) = check([noise(picture(full(), Convention()))], verdicts=14).validation.verdicts
+    assert (len(more.verdicts), more.stopped) == (14, False)
+    assert "stopped" not in more.record()
+
+
+def test_what_does_not_come_to_the_same_is_judged_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An image with a mistake, and noise in its upper part."""
+    monkeypatch.setattr("validation.check.MOST_VERDICTS", 20)
+    defect = DEFECTS["normals"]
+    image = picture(full(), Convention(), defect.draw)
+    levels = np.where((np.arange(48) < 16)[:, None, None], noise(image).levels, image.levels)
+    (verdicts,) = check([dataclasses.replace(image, levels=levels)]).validation.verdicts
+    assert (len(verdicts.verdicts), verdicts.stopped) == (20, False)
+    assert {verdict.renderer.cause for verdict in verdicts.verdicts} == {"mistake", "unexplained"}
+
+
+def test_one_mistake_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever it makes of decisions: light that goes past this sphere or that one, a highlight that is not there."""
+    defect = DEFECTS["normals"]
+    result = check([picture(full(), Convention(), defect.draw)])
+    (verdicts,) = result.validation.verdicts
+    patterns = {verdict.renderer.decision.pattern for verdict in verdicts.verdicts if verdict.renderer.decision}
+    assert len(patterns) > 1
+    (group,) = verdicts.groups()
+    assert len(group.verdicts) == FIRST_ALIKE
+    print_check(result)
+    out = capsys.readouterr().out
+    assert "all come to one mistake; --verdicts N judges more" in out
+    (line,) = (line for line in out.splitlines() if "WRONG" in line)
+    assert line.startswith(f"  WRONG: 12 pixels: image parts from truth in {len(patterns)} ways, for example it ")
+    first = group.verdicts[0]
+    assert line.endswith(f" (e.g. at {first.x} {first.y}): truth makes this pixel if it {defect.says}")
+
+
+def test_an_image_with_a_mistake_is_tallied_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of other layouts a few pixels are looked at, and none of it again for the mistake."""
+    tallied: list[tuple[str, int]] = []
+    original = validation.check._tally
+
+    def tally(pictures: Any, chosen: Any, colors: Any, fault: str) -> Any:
+        tallied.append((fault, sum(map(len, chosen))))
+        return original(pictures, chosen, colors, fault)
+
+    monkeypatch.setattr(validation.check, "_tally", tally)
+    monkeypatch.setattr(validation.check, "PROBED", 100)
+    defect = DEFECTS["shadows"]
+    found = fit([picture(full(), Convention("center"), defect.draw)], Settings())
+    assert found.mistake == defect.says
+    assert tallied[0] == ("", found.pixels)
+    assert [fault for fault, _ in tallied[1:]] == [
+        fault for fault in LAYOUTS if "swapped" not in fault or "red" in fault
+    ]
+    assert all(count == 100 for _, count in tallied[1:])
+
+
 def test_scenes_that_are_equal_have_images_of_their_own() -> None:
     again = tracer.loads(full().text())
     right = picture(full(), Convention())
@@ -271,6 +399,7 @@ def test_the_command_says_all_of_it(scene_file: Path, tmp_path: Path, run: Calla
         "convention: samples at the centre of the pixels; v * 255, rounded; the first row of the file is the lowest\n"
     )
     assert "most likely: it casts no shadows (10 of 10 pixels judged)" in result.out
+    assert "hint:" not in result.out
     assert " are left: " in result.out
     assert "\nnot right\n" in result.out
     assert (tmp_path / "r" / "index.html").stat().st_size > 10_000
@@ -278,6 +407,17 @@ def test_the_command_says_all_of_it(scene_file: Path, tmp_path: Path, run: Calla
     assert record["fit"]["sample"] == "center"
     assert record["fit"]["flipped"] is True
     assert record["left"][0]["by_more"] > 100
+
+
+def test_what_to_do_about_shadow_acne(scene_file: Path, tmp_path: Path, run: Callable[..., Result]) -> None:
+    image = picture(full(), Convention(), with_patch(hidden=planted.shadow_acne))
+    mine = save(tmp_path / "mine.png", image)
+    result = run("check", scene_file, "--image", mine, "--report", tmp_path / "r")
+    assert f"most likely: it {ACNE_SAYS} (12 of 12 pixels judged)\n  hint: a shadow ray meets the surface" in result.out
+    assert result.status == 1
+    page = html.unescape((tmp_path / "r" / "index.html").read_text(encoding="utf-8"))
+    assert f"truth makes this pixel if it {ACNE_SAYS}" in page
+    assert "no more of an image whose first few all come to the same" in page
 
 
 def test_a_right_image(scene_file: Path, tmp_path: Path, run: Callable[..., Result]) -> None:
@@ -297,6 +437,44 @@ def test_a_program(scene_file: Path, run: Callable[..., Result]) -> None:
     failing = run("check", scene_file, "--command", f"{shlex.quote(sys.executable)} -c 'raise SystemExit(7)' {{scene}}")
     assert failing.status == 3
     assert "status 7" in failing.err
+
+
+def test_several_programs_have_a_line_each(
+    scene_file: Path, tmp_path: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For who grades: right or not, the convention, how much is left, and the likeliest mistake."""
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    programs = {
+        "raytrace {scene}": "right  corner, truncate  0/3072  0  -",
+        "raytrace {scene} --sample center": "right  center, truncate  0/3072  0  -",
+        "raytrace {scene} --max-reflections 0": "not right  corner, truncate  N/3072  N  it reflects 0 times, not 3",
+        "python -c 'raise SystemExit(7)' {scene}": "failed  -  0/0  -  failed at 1: ended with exit status 7",
+    }
+    words = [word for program in programs for word in ("--command", program)]
+    result = run("check", scene_file, *words, "--json", tmp_path / "all.json", "--report", tmp_path / "r")
+    assert result.status == 3
+    for program, row in programs.items():
+        (line,) = (line for line in result.out.splitlines() if line.startswith(f"{program}  "))
+        told = re.sub(" {2,}", "  ", line.removeprefix(program)).strip()
+        assert re.fullmatch(re.escape(row).replace("N", "[0-9.]+"), told), line
+    assert "2 of 4 programs are right" in result.out
+    record = strict((tmp_path / "all.json").read_text(encoding="utf-8"))
+    assert [entry["program"] for entry in record["programs"]] == [f"cmd:{program}" for program in programs]
+    assert [entry["ok"] for entry in record["programs"]] == [True, True, False, False]
+    assert [(entry["fit"] or {}).get("sample") for entry in record["programs"]] == ["corner", "center", "corner", None]
+    assert record["ok"] is False
+    page = html.unescape((tmp_path / "r" / "index.html").read_text(encoding="utf-8"))
+    for program in programs:
+        assert f"cmd:{program}: " in page, "what came out of each is in the head of the page"
+    one = run("check", scene_file, "--command", next(iter(programs)), "--command", next(iter(programs)))
+    assert one.out.startswith("convention: "), "one that is named twice is one"
+
+
+def test_options_that_validate_has_too_are_the_same() -> None:
+    both = [{option.name: option for option in command.params} for command in (cli.validate, cli.check)]
+    for name in ("report", "json_file", "verdicts", "size", "shadow_epsilon", "max_reflections", "threads"):
+        first, second = (options[name].to_info_dict() for options in both)
+        assert {**first, "help": ""} == {**second, "help": ""}
 
 
 @pytest.mark.parametrize(

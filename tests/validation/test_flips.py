@@ -14,7 +14,7 @@ from flint import fmpq
 
 import tracer
 from tracer import View
-from validation.flips import Flip, both, changed, flipped, flips, sensitivity
+from validation.flips import Flip, changed, flipped, flips, sensitivity
 from validation.follow import KINDS, Key
 from validation.truth import Prover
 
@@ -179,16 +179,6 @@ def test_what_nothing_flips_has_no_margin() -> None:
     for flip in flips(prover, 24, 24):
         assert flip.margin > 0
         assert not math.isnan(flip.margin)
-
-
-def test_two_decisions_want_the_average() -> None:
-    one = Flip(Key("meets", 0, -1, 0), 1, -1, 0.1, {"a": 1, "b": -1}, (1.0, 0.0, 0.0))
-    two = Flip(Key("order", 0, -1, 1, 0), 1, -1, 0.2, {"a": 1, "c": 1}, (0.0, 1.0, 0.0))
-    assert both([one]) is one
-    together = both([one, two])
-    assert together.key == one.key
-    assert together.signs == {"a": 1, "b": -0.5, "c": 0.5}
-    assert together.turn == (0.5, 0.5, 0.0)
 
 
 def slopes(prover: Prover, x: int, y: int) -> dict[str, list[float]]:

@@ -643,7 +643,7 @@ def test_the_headline_says_all_that_happened() -> None:
             Validation(
                 settings=Settings(),
                 comparisons=found,
-                failures=[Note("s", "a", "failed")] * failures,
+                failures=[Note(f"s{k}", "a", "failed") for k in range(failures)],
                 verdicts=verdicts,
             )
         )
@@ -651,22 +651,41 @@ def test_the_headline_says_all_that_happened() -> None:
     assert of(8, 0, 0) == "All 8 comparisons agree"
     assert of(1, 0, 0) == "The only comparison agrees"
     assert of(7, 1, 0) == "1 of 8 comparisons differ"
-    assert of(7, 1, 1) == "1 of 8 comparisons differ, and there was 1 failure"
-    assert of(8, 0, 2) == "All 8 comparisons agree, but there were 2 failures"
-    assert of(0, 0, 1) == "Nothing was compared"
+    assert of(7, 1, 1) == "a failed on s0. 1 of 8 comparisons differ"
+    assert of(8, 0, 2) == "a failed on 2 scenes. All 8 comparisons agree"
+    assert of(0, 0, 1) == "a failed on s0. Nothing was compared"
+    assert of(0, 0, 0) == "Nothing was compared"
     assert of(8, 0, 0, "rounding", "rule", "tie", sampled=True) == (
         "All 8 comparisons agree within tolerance; 4 edge pixels differ, the 3 judged are explained"
     )
     both_true = "agrees within tolerance; 1 edge pixel differs and is explained"
     assert of(1, 0, 0, "tie") == f"The only comparison {both_true}"
-    assert of(1, 0, 1, "tie") == f"The only comparison {both_true}, but there was 1 failure"
+    assert of(1, 0, 1, "tie") == f"a failed on s0. The only comparison {both_true}"
     assert of(8, 0, 0, sampled=True) == "All 8 comparisons agree within tolerance; 1 edge pixel differs"
     assert of(8, 0, 0, "unexplained") == "All 8 comparisons agree, but 1 pixel is unexplained"
     assert of(8, 0, 0, "mistake", "mistake") == "All 8 comparisons agree, but 2 pixels are wrong"
     both = "unexplained", "unexplained", "mistake"
     assert of(7, 1, 0, *both) == "1 of 8 comparisons differ, and 2 pixels are unexplained and 1 wrong"
-    many = "1 of 8 comparisons differ, and at least 2 pixels are unexplained and 1 wrong, and there was 1 failure"
+    many = "a failed on s0. 1 of 8 comparisons differ, and at least 2 pixels are unexplained and 1 wrong"
     assert of(7, 1, 1, *both, sampled=True) == many
+
+
+def test_the_headline_begins_with_who_crashed(tmp_path: Path) -> None:
+    def of(*failures: Note) -> str:
+        agree = [Comparison("s", (1, 1), "a", "b", "id")]
+        return headline(Validation(settings=Settings(), comparisons=agree, failures=list(failures)))
+
+    crash = "crashed: SIGSEGV (segmentation fault)"
+    one, other = Note("x.txt", "cmd:./mine {scene}", crash), Note("y.txt", "cmd:./mine {scene}", crash)
+    assert of(one) == "cmd:./mine {scene} crashed on x.txt. The only comparison agrees"
+    assert of(one, other) == "cmd:./mine {scene} crashed on 2 scenes. The only comparison agrees"
+    assert of(one, Note("x.txt", "b", "took longer than 60 s")) == (
+        "2 renderers failed on x.txt. The only comparison agrees"
+    )
+    assert of(Note("", "b", "it is not installed")) == "b failed. The only comparison agrees"
+    assert of(Note("", "", "s: error: too large")) == "What was asked for failed. The only comparison agrees"
+    page = Report().write(tmp_path, Validation(settings=Settings(), failures=[one])).read_text()
+    assert re.search(r"<h1>(.*)</h1>", page)[1] == "cmd:./mine {scene} crashed on x.txt. Nothing was compared"  # type: ignore[index]
 
 
 def test_a_pixel_of_several_pairs_counts_once() -> None:

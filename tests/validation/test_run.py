@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import doubles
+import numpy as np
 import pytest
 from doubles import Double
 
+import tracer.margins
 import validation
 from tracer.passes import Passes
 from validation import Settings, run, validate
@@ -54,6 +56,20 @@ def test_shrink_keeps_the_aspect_and_the_limit(size: tuple[int, int], pixels: in
         exact = (size[0] / size[1] * pixels) ** 0.5, (size[1] / size[0] * pixels) ** 0.5
         assert exact[0] - 1 < columns <= exact[0] + 1e-9
         assert exact[1] - 1 < rows <= exact[1] + 1e-9
+
+
+@pytest.mark.parametrize("change", [{"sample": "center"}, {"shadow_epsilon": 0.3}, {"max_reflections": 0}], ids=str)
+def test_margins_are_those_of_the_settings(change: dict[str, Any]) -> None:
+    scene = doubles.full()
+    plain, changed = tracer.margins.analyse(scene), tracer.margins.analyse(scene, **change)
+    found = run.analyse(scene, Settings(**change))
+
+    def same(a: Any, b: Any) -> bool:
+        margins = all(np.array_equal(a.margins[kind], b.margins[kind]) for kind in a.margins)
+        return margins and np.array_equal(a.sensitivity["beauty"], b.sensitivity["beauty"])
+
+    assert same(found, changed)
+    assert not same(found, plain)
 
 
 def test_resized_changes_nothing_else() -> None:

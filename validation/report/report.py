@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tracer.passes import Passes
     from validation.compare import Comparison, Maps
     from validation.report.verdicts import Line, Row
-    from validation.run import Rendered, Validation
+    from validation.run import Note, Rendered, Validation
     from validation.verdict import Verdicts
 
 #: A small picture is enlarged to at most that many pixels, by a whole number; three such stand side by side.
@@ -147,8 +147,7 @@ class Why:
     @property
     def says(self) -> str:
         """What was decided."""
-        decision = self.line.finding.decision
-        return "" if decision is None else decision.says if self.count == 1 else decision.pattern
+        return self.line.group.what(self.count)
 
 
 def ours(path: Path) -> bool:
@@ -330,7 +329,24 @@ def _order(name: str) -> tuple[int, int]:
 
 
 def headline(result: Validation) -> str:
-    """What came out, in one line."""
+    """What came out, in one line; that something failed comes first."""
+    return ". ".join(filter(None, (failed(result.failures), compared(result))))
+
+
+def failed(failures: Sequence[Note]) -> str:
+    """Who failed, and where."""
+    names = list(dict.fromkeys(failure.renderer for failure in failures))
+    if not names:
+        return ""
+    crashed = all(failure.message.startswith("crashed") for failure in failures)
+    who = names[0] or "What was asked for" if len(names) == 1 else counted(len(names), "renderer")
+    scenes = list(dict.fromkeys(failure.scene for failure in failures if failure.scene))
+    where = f" on {scenes[0] if len(scenes) == 1 else counted(len(scenes), 'scene')}" * bool(scenes)
+    return f"{who} {'crashed' if crashed else 'failed'}{where}"
+
+
+def compared(result: Validation) -> str:
+    """What came out of all that could be compared."""
     total = len(result.comparisons)
     if not total:
         return "Nothing was compared"
@@ -339,14 +355,10 @@ def headline(result: Validation) -> str:
         text = f"{failed} of {counted(total, 'comparison')} differ{'s' if total == 1 else ''}"
     else:
         text = "The only comparison agrees" if total == 1 else f"All {total} comparisons agree"
-    more = [clause] if (clause := without_excuse(result.verdicts)) else []
-    if not failed and not more:
+    clause = without_excuse(result.verdicts)
+    if not failed and not clause:
         text += differing(result.verdicts)
-    if result.failures:
-        more.append(
-            f"there {'was' if len(result.failures) == 1 else 'were'} {counted(len(result.failures), 'failure')}"
-        )
-    return text + f", {'and' if failed else 'but'} " * bool(more) + ", and ".join(more)
+    return text + f", {'and' if failed else 'but'} {clause}" * bool(clause)
 
 
 def differing(several: Sequence[Verdicts]) -> str:
@@ -395,6 +407,7 @@ def judged(several: Sequence[Verdicts]) -> dict[str, int | bool]:
         "scenes": len({of.scene for of in several}),
         "count": count,
         "sampled": differ > count,
+        "stopped": any(of.stopped for of in several),
         "both": sum(len(verdict.wrong) > 1 for verdict in verdicts),
         "all_on_edges": differ == count and all(verdict.edge for verdict in verdicts),
     }

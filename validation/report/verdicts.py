@@ -117,10 +117,9 @@ class Line:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Decision and cause, without the numbers of its pixels."""
-        decision, cause = self.finding.decision, self.finding.cause
-        because = "" if cause in ("rounding", "unexplained") else self.finding.because
-        return cause, decision.pattern if decision else "", because
+        """Cause and decision, without the numbers of its pixels and who is wrong."""
+        _, *key = self.group.key
+        return key[0], key[1], key[2]
 
     @property
     def count(self) -> int:
@@ -130,8 +129,7 @@ class Line:
     @property
     def says(self) -> str:
         """What was decided."""
-        decision = self.finding.decision
-        return "" if decision is None else decision.says if self.count == 1 else decision.pattern
+        return self.group.what(self.count)
 
 
 @dataclass
