@@ -62,6 +62,8 @@ if TYPE_CHECKING:
 # every margin is above EDGE_ROUNDINGS u. docs/tolerances.md derives both.
 VALUE_ROUNDINGS = 15
 EDGE_ROUNDINGS = 64
+# A light is beside a surface if a change of this size takes it to the other side: what float32 may round.
+BESIDE = EDGE_ROUNDINGS * 2.0**-24
 # Outlines hidden behind a hit do not count; this much of t is still in front.
 SLACK = 1e-5
 # The largest delta that the first-order bounds are meant for: where a term that is 0 may grow within it, it counts.
@@ -82,6 +84,8 @@ class Analysis:
     outline: float  # length of the spheres' outlines in pixels
     ids: NDArray[np.int32]
     lit: list[NDArray[np.bool_]]  # by light: where N.L > 0, so where `shadow` is compared
+    #: Where it matters on which side of a surface a light is that lies on it but for a rounding: whole areas.
+    beside: NDArray[np.bool_]
 
     def behind(self, name: str) -> dict[str, NDArray[np.float64]]:
         """The margins of the decisions that a pass depends on, by kind.
@@ -126,6 +130,7 @@ def analyse(
         length,
         image([part.ids for part in parts]),
         [image([part.lit[light] for part in parts]) for light in range(tables.lights)],
+        image([part.beside for part in parts]),
     )
 
 
@@ -142,6 +147,7 @@ class Band:
         self.lighted: dict[str, Real] = {}
         self.ids = np.full(count, -1, np.int32)
         self.lit = [np.zeros(count, bool) for _ in range(tables.lights)]
+        self.beside = np.zeros(count, bool)
         self.sensitivity: dict[str, NDArray[np.float64]] = {}
 
     def run(self, max_reflections: int) -> None:
@@ -275,6 +281,7 @@ class Band:
             hides[asked], by_others[asked] = sight.hides, sight.by_others
             for kind, margin in sight.margins.items():
                 self.lower(kind, pixel[asked], np.where(facing[asked], margin, np.inf))
+            self.beside[pixel[asked]] |= sight.beside & facing[asked]
             # At the primary hit the pass `shadow` is compared where N.L > 0. Behind mirrors only the specular term
             # jumps where N.L changes its sign; the diffuse term does not.
             turns = ~by_others & ((bounce == 0) | (has_glossy & (RV > 0)))
@@ -318,7 +325,7 @@ class Band:
         """What stands between points and a light."""
         count = x.start.size
         limit = np.maximum(self.margins["silhouette"][x.pixel], self.margins["range"][x.pixel])
-        blockers, by_others = np.zeros(count, int), np.zeros(count, bool)
+        blockers, by_others, beside = np.zeros(count, int), np.zeros(count, bool), np.zeros(count, bool)
         # While nothing hides the light, the first sphere to come decides; else all that hide it must go.
         comes = {kind: np.full(count, np.inf) for kind in ("silhouette", "range")}
         goes = {kind: np.zeros(count) for kind in ("silhouette", "range")}
@@ -335,6 +342,7 @@ class Band:
                     start = x.point if decide == Segments.of_own else origin
                     segments = Segments(self, j, light, start[:, rays], direction[:, rays], beam[rays], limit[rays])
                     blocks[rays], found["silhouette"][rays], found["range"][rays] = decide(segments, self.epsilon)
+                    beside[rays] |= segments.beside
             blockers += blocks
             by_others |= blocks & ~own
             for kind, margin in found.items():
@@ -344,7 +352,7 @@ class Band:
         margins = {
             kind: np.where(blockers == 0, comes[kind], np.where(blockers == 1, goes[kind], goes_any)) for kind in comes
         }
-        return Sight(blockers > 0, by_others, margins)
+        return Sight(blockers > 0, by_others, beside, margins)
 
 
 @dataclass
@@ -353,6 +361,7 @@ class Sight:
 
     hides: Flags  # something hides it
     by_others: Flags  # a sphere other than the point's own does
+    beside: Flags  # it depends on the side of a surface that a light is on, by a rounding
     margins: dict[str, Real]
 
 
@@ -365,6 +374,8 @@ class Segments:
         """`limit`: margins above it do not count."""
         self.sphere, self.beam, self.limit = sphere, beam, limit
         self.origin, self.direction = origin, direction
+        #: Where the side of the surface matters that the light is on, and a rounding may change it.
+        self.beside = np.zeros(origin.shape[1], bool)
         self.side = int(band.tables.light_side[sphere, light])
         self.p, self.c = band.light[:, light : light + 1], band.position[:, sphere : sphere + 1]
         self.s = band.tables.scaling[:, sphere : sphere + 1]
@@ -394,7 +405,9 @@ class Segments:
         # The start counts where the line leaves the sphere there, or leads to a light inside; ...
         ends = self.margin((dot(y, y) - 1) / 2, y, epsilon * y, (dot(y, d) > 0) | ends_inside)
         # ... the light's end where the line enters there, or starts inside.
-        ends = np.where((dot(o + d, d) < 0) | starts_inside, np.minimum(ends, end), ends)
+        sided = (dot(o + d, d) < 0) | starts_inside
+        self.beside = sided & (end < BESIDE)
+        ends = np.where(sided, np.minimum(ends, end), ends)
         # The outline counts between the two, with both outside.
         over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
         y = line.middle
@@ -410,6 +423,7 @@ class Segments:
         # t > epsilon: -2 n.d - epsilon d.d
         start = self.margin(-2 * dot(n, d) - epsilon * dot(d, d), -2 * d, -2 * (n + epsilon * d))
         blocks = own_hides(n, d, self.side, epsilon)
+        self.beside = (t > epsilon) & (end < BESIDE)
         ends = np.where(blocks, np.minimum(start, end), np.where(t > epsilon, end, start))
         return blocks, np.full_like(ends, np.inf), ends
 

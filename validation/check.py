@@ -467,8 +467,7 @@ class Checked:
     @property
     def status(self) -> int:
         """The exit status: as of the comparison; a convention of its own is no fault, a layout is."""
-        wrong = self.fit is not None and bool(self.fit.convention.fault)
-        return self.validation.status or int(wrong)
+        return self.validation.status
 
     @property
     def says(self) -> str:
@@ -611,6 +610,8 @@ def check(
         progress=progress,
     )
     result.failures[:0] = failures
+    if found.convention.fault:
+        result.wrong = (found.convention.fault,)
     checked = Checked(found, left, result, pictures[0].steps)
     result.about = checked.about()
     return checked
@@ -626,6 +627,7 @@ def together(results: Mapping[str, Checked]) -> Validation:
         found.verdicts += one.verdicts
         found.notes += one.notes
         found.failures += one.failures
+        found.wrong += tuple(f"{name}: {fault}" for fault in one.wrong)
         found.lacking |= one.lacking
         found.versions |= one.versions
         found.about = [*found.about, f"{name}: {result.says}", *(f"  {line.strip()}" for line in result.about())]

@@ -126,6 +126,10 @@ def json_value(value: Any) -> Any:
     return value
 
 
+#: The kinds of decisions next to which the first order says nothing of a value: it goes as a root there, or a power.
+STEEP = ("silhouette", "terminator")
+
+
 @dataclass(frozen=True)
 class Judge:
     """What is known about a scene before any of its pixels is compared."""
@@ -149,7 +153,10 @@ class Judge:
         return edge | ~np.isfinite(self.tolerance(name))
 
     def tolerance(self, name: str) -> metrics.Array:
-        """How far the two values of an interior pixel may lie apart: the sum of what either may be off by."""
+        """How far the two values of an interior pixel may lie apart: the sum of what either may be off by.
+
+        Infinite where there is no such bound.
+        """
         shape = self.analysis.ids.shape
         quantity = lookup(name).quantity
         if quantity in ("id", "visibility"):
@@ -161,6 +168,9 @@ class Judge:
             absolute = absolute + units
         with np.errstate(invalid="ignore"):
             tolerance = units * self.analysis.sensitivity[name] + absolute
+        behind = self.analysis.behind(name)
+        for kind in STEEP:
+            tolerance = np.where(behind[kind] > units, tolerance, np.inf)
         return np.broadcast_to(np.asarray(tolerance, dtype=np.float64), shape)
 
     def edge_cap(self) -> int:
@@ -171,14 +181,15 @@ class Judge:
         scene if the bands in which it is uncertain, all those of one hit of the chain together, are no wider than a
         pixel: then they cover `length` pixels a hit. So does one straight curve along the grid, however thin its band.
         What a renderer claims does not enter. Never more than a quarter of the image, so that three quarters are
-        always compared; of the smallest images one pixel may be an edge.
+        always compared; of the smallest images one pixel may be an edge. Added are the areas whose light lies on a
+        surface but for a rounding: that is the scene's doing.
         """
         rows, columns = self.analysis.ids.shape
         length = self.analysis.outline + 2.0 * (rows + columns)
         mirrors = any(sphere.kr > 0 for sphere in self.scene.spheres)
         hits = 1 + (self.settings.max_reflections if mirrors else 0)
         limit: int = math.ceil(min(length * hits, rows * columns / 4))
-        return limit
+        return limit + int(self.analysis.beside.sum())
 
 
 def compare_passes(

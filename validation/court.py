@@ -18,17 +18,17 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tracer.margins import EDGE_ROUNDINGS, VALUE_ROUNDINGS
 from tracer.passes import MARGINS, lookup
 from validation import flips, parting
-from validation.compare import Judge
+from validation.compare import STEEP, Judge
 from validation.encoding import Encoding
 from validation.follow import Follower, Hit, Key
-from validation.parting import Decision
+from validation.parting import Decision, light_name
 from validation.renderers import PerPixel, Renderer, Settings, Uncertainty
 from validation.rules import Rule, mistakes
 from validation.run import RendererError, blaming
@@ -49,7 +49,7 @@ GROWTH, AROUND = 4.0, 6
 #: A decision may be taken otherwise with all numbers as they are up to this margin in units of the values: the same
 #: roundings that are counted in a value are counted in a decision. If it takes more, values tell.
 TELLS = EDGE_ROUNDINGS / VALUE_ROUNDINGS
-#: Sensitivities are what takes time: of a pixel and renderer so many at most.
+#: Sensitivities are what takes time: of a pixel and renderer so many at most, and as many again for several decisions.
 SENSITIVITIES = 64
 #: Of what makes a pixel in part so many are looked at further.
 HALFWAY = 6
@@ -290,7 +290,12 @@ class Court:
     def roundings(self, pixel: Pixel, prover: Prover, besides: str = "") -> Iterator[Possible]:
         """Truth with one decision flipped by numbers changed no more than the renderer claims, or with several."""
         x, y = pixel.truth.x, pixel.truth.y
-        claims = {kind: pixel.at(getattr(pixel.side.claim, kind)) for kind in MARGINS}
+        # Where no bound is claimed, roundings are what values are off by; the rest is for rules.
+        claims = {
+            kind: claim if math.isfinite(claim) else TELLS * pixel.unit
+            for kind in MARGINS
+            for claim in [pixel.at(getattr(pixel.side.claim, kind))]
+        }
         # The margins are the specification's: a rule has decisions of its own.
         if prover is self.prover and not self.near(x, y, claims):
             return
@@ -302,6 +307,8 @@ class Court:
             for possible in self.changes(pixel, State(pixel.made(prover)), flip, claims)
         ]
         yield from pixel.makers([state.possible(claims, besides) for state in singles])
+        if prover is self.prover:
+            pixel.left = SENSITIVITIES
         yield from self.several(pixel, prover, claims, besides)
 
     def several(
@@ -319,7 +326,6 @@ class Court:
         """
         limits = {kind: min(claim, TELLS * pixel.unit, LARGEST) for kind, claim in claims.items()}
         count = itertools.count()
-        pixel.left = SENSITIVITIES
         waiting: list[tuple[tuple[int, int, float], int, State]] = []
         seen: set[tuple[Made | None, frozenset[tuple[Key, int]]]] = set()
 
@@ -332,14 +338,14 @@ class Court:
                     unmade, off = pixel.rank(state.made)
                     heapq.heappush(waiting, ((unmade, state.steps, off), next(count), state))
 
-        wait([State(pixel.made(prover))])
+        wait([State(pixel.made(prover, limits["range"]))])
         for _ in range(SETS if prover is self.prover else SETS // HALFWAY):
             if not waiting:
                 return
             *_, state = heapq.heappop(waiting)
             wanting = pixel.wanting(state.made)
             if not wanting:
-                if state.steps:
+                if state.steps or state.made.free:
                     yield state.possible(claims, besides)
                 continue
             near = state.near(limits)
@@ -351,7 +357,8 @@ class Court:
                         wait(self.unhidden(other, flip.key, limits), state)
             for flip in state.made.decisions:
                 # Of values behind a decision those count where its quantity is above 0.
-                steep = flip.key in state.made.steep and flip.key not in state.moved and _changes(flip.key, wanting)
+                moved = flip.key in {each.key for each in state.moved}
+                steep = flip.key in state.made.steep and not moved and _changes(flip.key, wanting)
                 if steep and (flip.sign or flip.other > 0) and lookup(wanting).quantity not in ("id", "visibility"):
                     held = state.holding(near, flip)
                     wait(self.changes(pixel, held, flip, claims, [1 if flip.other > 0 else -1]))
@@ -389,7 +396,7 @@ class Court:
         margin, prover = flip.margin, state.made.prover
 
         def changed(delta: float) -> Made:
-            return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, flip, delta))
+            return pixel.made(flips.changed(prover, pixel.truth.x, pixel.truth.y, flip, delta), state.made.least)
 
         found = []
         for side in sides:
@@ -477,7 +484,7 @@ class State:
     change: float = 0.0
     flip: flips.Flip | None = None  # the first decision by which numbers are changed, or that is forced
     forced: tuple[flips.Flip, ...] = ()
-    moved: tuple[Key, ...] = ()  # the decisions by which numbers are changed
+    moved: tuple[flips.Flip, ...] = ()  # the decisions by which numbers are changed
     numbers: Made | None = None  # the same without forced decisions; None: as they are
 
     @property
@@ -499,8 +506,8 @@ class State:
 
     def changing(self, flip: flips.Flip, change: float, made: Made) -> State:
         """With numbers changed by so much more."""
-        moved = (*self.moved, flip.key)
-        return replace(self, made=made, change=self.change + change, flip=self.flip or flip, moved=moved, numbers=made)
+        moved, flip = (*self.moved, flip), self.flip or flip
+        return replace(self, made=made, change=self.change + change, flip=flip, moved=moved, numbers=made)
 
     def holding(self, near: Iterable[flips.Flip], but: flips.Flip) -> State:
         """With all decisions that are near, but for one, as they are, however numbers change."""
@@ -508,41 +515,74 @@ class State:
 
     def possible(self, claims: Mapping[str, float], besides: str) -> Possible:
         """As a cause."""
-        assert self.flip is not None
-        kinds = {flip.kind for flip in (self.flip, *self.forced)}
+        kinds = {flip.kind for flip in (*self.moved, *self.forced)} or {"range"}
         count = len(self.forced)
         change = max([self.change, *(flip.margin for flip in self.forced)])
         numbers = f"changing the scene's numbers by {self.change:.2g} (relative)" if self.change else ""
         decisions = f"{count} decision{'s' * (count > 1)} within its claim taken otherwise" if count else ""
-        does = f"{numbers}, with {decisions}," if numbers and count else numbers or f"truth with {decisions}"
+        does = (
+            f"{numbers}, with {decisions},"
+            if numbers and count
+            else numbers or "truth" + f" with {decisions}" * (count > 0)
+        )
+        if self.made.free:
+            lights = (light_name(self.made.prover.scene, of.light) for of in self.made.free)
+            direction = f"any direction to {', '.join(dict.fromkeys(lights))}, which is at the point itself,"
+            does = f"{does} and {direction}" if self.steps else f"truth with {direction}"
         may = _may(min(claims[kind] for kind in kinds))
-        kind = "" if count > 1 or (count and self.change) else self.flip.kind
+        kind = "" if count > 1 or (count and self.change) or self.flip is None else self.flip.kind
         return Possible(
             "rounding", f"rounding: {does} makes this pixel, and it {may}{besides}", self.made, change, self.flip, kind
         )
 
 
-class Made:
-    """A pixel of truth that is changed somehow; `beyond`: of a decision that flips, the same farther off."""
+@dataclass(frozen=True)
+class Free:
+    """A light at a point itself: for rounding its direction may be any, so it gives a share of all that it can give."""
 
-    def __init__(self, prover: Prover, x: int, y: int, encoding: Encoding | None) -> None:
-        self.prover, self.x, self.y, self.encoding = prover, x, y, encoding
+    bounce: int
+    light: int
+    diffuse: tuple[float, ...]  # the whole of it, as the pixel shows it
+    specular: tuple[float, ...]
+
+    def parts(self, name: str) -> list[tuple[float, ...]]:
+        """Of a pass: what of it there may be any share of."""
+        if name in ("diffuse", "specular", "direct"):
+            parts = {"diffuse": [self.diffuse], "specular": [self.specular]}
+            return parts.get(name, [self.diffuse, self.specular]) if self.bounce == 0 else []
+        if name == "beauty" or (name == "reflection" and self.bounce) or name == f"reflection.{self.bounce}":
+            return [self.diffuse, self.specular]
+        return []
+
+
+class Made:
+    """A pixel of truth that is changed somehow; `beyond`: of a decision that flips, the same farther off.
+
+    `least`: lights nearer to a point, relative to both, have any direction.
+    """
+
+    def __init__(self, prover: Prover, x: int, y: int, encoding: Encoding | None, least: float = -1.0) -> None:
+        self.prover, self.x, self.y, self.encoding, self.least = prover, x, y, encoding, least
         self.beyond: Made | None = None
 
     def otherwise(self, forced: Mapping[Key, int]) -> Made:
         """The same with decisions taken otherwise."""
-        other = Made(self.prover.forcing(forced), self.x, self.y, self.encoding)
+        other = Made(self.prover.forcing(forced), self.x, self.y, self.encoding, self.least)
         if self.beyond is not None:
             other.beyond = self.beyond.otherwise(forced)
         return other
 
     @functools.cached_property
+    def _examined(self) -> tuple[Sequence[Hit], Mapping[Key, Any]]:
+        try:
+            return self.prover.examine(self.x, self.y)
+        except NOWHERE:
+            return [], {}
+
+    @property
     def hits(self) -> Sequence[Hit]:
         """Those of the chain, with every sphere that hides a light; none where that cannot be had."""
-        try:
-            return self.prover.examine(self.x, self.y)[0]
-        except NOWHERE:
-            return []
+        return self._examined[0]
 
     @functools.cached_property
     def path(self) -> object:
@@ -561,6 +601,33 @@ class Made:
         """The spheres that hide a light which a hit faces."""
         sights = (seen for hit in self.hits if hit.bounce == bounce for seen in hit.sights)
         return next((seen.blockers for seen in sights if seen.light == light and seen.faces > 0), ())
+
+    @functools.cached_property
+    def free(self) -> Sequence[Free]:
+        """The lights that are at a point of the chain itself."""
+        found = []
+        scene = self.prover.scene
+        for hit in self.hits if self.least >= 0 else ():
+            sphere, point = scene.spheres[hit.sphere], [float(value.mid()) for value in hit.point]
+            weight = 1.0 if hit.weight is None else float(hit.weight.mid())
+            for light, lamp in enumerate(scene.lights):
+                size = math.hypot(*point) + math.hypot(*lamp.position) + max(map(abs, sphere.scaling))
+                if math.dist(point, lamp.position) <= self.least * size:
+                    diffuse = (weight * sphere.kd * a * b for a, b in zip(lamp.intensity, sphere.color, strict=True))
+                    specular = (weight * sphere.ks * a for a in lamp.intensity)
+                    found.append(Free(hit.bounce, light, tuple(diffuse), tuple(specular)))
+        return found
+
+    def share(self, name: str, values: Sequence[float]) -> tuple[float, float]:
+        """How far values are from the best share of what lights at the point itself may give, and the size of that."""
+        parts = np.array([part for of in self.free for part in of.parts(name) if any(part)])
+        exact = np.array([ball.value for ball in self.value(name)])
+        if not parts.size or self.encoding or not np.isfinite([*exact, *values]).all():
+            return math.inf, 0.0
+        from scipy.optimize import lsq_linear
+
+        shares = lsq_linear(parts.T, values - exact, (0, 1)).x
+        return float(np.abs(parts.T @ shares + exact - values).max()), float(np.abs(parts).max() + np.abs(exact).max())
 
     @functools.cached_property
     def decisions(self) -> Sequence[flips.Flip]:
@@ -584,13 +651,34 @@ class Made:
         # A ray that is held to touch has no root.
         return frozenset(key for key in steep if self.prover.forced.get(key) != 0)
 
+    def gap(self, name: str) -> float:
+        """The change as far as which slopes bound a pass: to the nearest steep place that it depends on."""
+        return min(
+            (margin for key, margin in self._steeps if _changes(key, name)), default=math.inf if self.decisions else 0.0
+        )
+
     @functools.cached_property
-    def gap(self) -> float:
-        """The change as far as which slopes bound values."""
+    def _steeps(self) -> list[tuple[Key, float]]:
         # A ray that touches exactly has no root, whose slope had no bound.
         touched = {Key("meets", hit.bounce, -1, hit.sphere) for hit in self.hits if hit.touches}
-        steep = [flip.margin for flip in self.decisions if flip.key in self.steep - touched]
-        return min(steep, default=math.inf) if self.decisions else 0.0
+        steep = self.steep - touched
+        return [*((flip.key, flip.margin) for flip in self.decisions if flip.key in steep), *self.far_roots()]
+
+    def far_roots(self) -> Iterator[tuple[Key, float]]:
+        """By how little D = B^2 - A C may come to 0 where a ray begins inside what it hits: no decision asks for it."""
+        near = {flip.key: flip for flip in self.decisions}
+        for hit in self.hits:
+            key = Key("start", hit.bounce, -1, hit.sphere)
+            if not hit.inside or key not in near:
+                continue
+            scaling = self.prover.scene.spheres[hit.sphere].scaling
+            A = sum((float(d.mid()) / s) ** 2 for d, s in zip(hit.direction, scaling, strict=True))
+            # From where the ray begins to count: C is what decides there, and t a root of A t^2 + 2 B t + C.
+            C, t = float(self._examined[1][key].mid()), float(hit.t.mid()) - (hit.bounce == 0)
+            B = (A * t * t + C) / (2 * t) if t else 0.0
+            # D moves with C, as far as that moves.
+            size = A * near[key].moves
+            yield key, max(B * B - A * C, 0.0) / size if size > 0 else 0.0
 
     @functools.cached_property
     def values(self) -> Mapping[str, tuple[Ball, ...]] | None:
@@ -620,8 +708,12 @@ class Made:
 
     def sees(self, name: str, value: float) -> bool:
         """Whether an id or a visibility is the same, or means nothing as the light is behind the surface."""
-        same = self.value(name)[0].value == value
-        return same or (name != "id" and int(name.removeprefix("shadow.L")) not in self.facing)
+        if self.value(name)[0].value == value:
+            return True
+        if name == "id":
+            return False
+        light = int(name.removeprefix("shadow.L"))
+        return light not in self.facing or any(of.light == light and of.bounce == 0 for of in self.free)
 
     @functools.cached_property
     def moves(self) -> Mapping[str, float]:
@@ -681,7 +773,10 @@ class Pixel:
         for name, values in self.values.items():
             error = distance(name, values, self.truth.values[name], self.side.encoding)
             tolerance = self.tolerance(name, self.sensitivity(name), 0.0)
-            if not error <= (tolerance if math.isfinite(tolerance) else self.court.bound(self.side, name)):
+            behind = self.court.analysis.behind(name)
+            nearest = min(float(behind[kind][self.truth.y, self.truth.x]) for kind in STEEP)
+            told = math.isfinite(tolerance) and nearest > self.unit
+            if not error <= (tolerance if told else self.court.bound(self.side, name)):
                 found[name] = error
         # In float64 a decision of the pixel may have gone the other way, and its sensitivities with it.
         margin = min(float(margins[self.truth.y, self.truth.x]) for margins in self.court.analysis.margins.values())
@@ -695,9 +790,9 @@ class Pixel:
         changed = [{name for name in self.errors if _changes(flip.key, name)} for flip in together]
         return all(changed) and len(set[str]().union(*changed)) == len(self.errors)
 
-    def made(self, prover: Prover) -> Made:
-        """The same pixel of changed truth."""
-        return Made(prover, self.truth.x, self.truth.y, self.side.encoding)
+    def made(self, prover: Prover, least: float = -1.0) -> Made:
+        """The same pixel of changed truth; `least`: see `Made`."""
+        return Made(prover, self.truth.x, self.truth.y, self.side.encoding, least)
 
     def following(self, rule: Rule, prover: Prover) -> Made:
         """The same of truth that follows a rule, which may be one about files."""
@@ -800,6 +895,9 @@ class Pixel:
         error, size = distance(name, values, made.value(name), made.encoding), made.size(name)
         if error <= self.tolerance(name, 0.0, size):
             return True
+        left, size = made.share(name, values) if made.free else (math.inf, size)
+        if left <= self.tolerance(name, 0.0, size):
+            return True
         # What the first order says of a value next to a decision holds as far as the decision: just behind an outline
         # the slope has no bound. Beyond the gap the slope that counts is the one farther off.
         for truth in (made, made.beyond):
@@ -809,7 +907,7 @@ class Pixel:
                 if not self.left:
                     return False
                 self.left -= 1
-            share = min(1.0, truth.gap / self.unit)
+            share = min(1.0, truth.gap(name) / self.unit)
             if error <= self.tolerance(name, share * truth.moves.get(name, 0.0), size):
                 return True
         return False

@@ -32,7 +32,7 @@ class Flip:
     `sign`: what it is, `other`: what it would be; of a tie either way is a flip of its own. `margin`: the relative
     change of the ray and of every number of the scene that takes it there, to first order; 0 for a tie, inf where
     nothing does. `signs`: by name of a number, which way to change it, -1 to 1. `turn`: the unit vector along which
-    to change the ray.
+    to change the ray. `moves`: how far the quantity goes with such a change of 1.
     """
 
     key: Key
@@ -41,6 +41,7 @@ class Flip:
     margin: float
     signs: Mapping[str, float]
     turn: tuple[float, float, float]
+    moves: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -156,7 +157,7 @@ def _flips(prover: Prover, x: int, y: int, forced: Mapping[Key, int]) -> Iterato
         for way in (sign,) if sign else (1, -1):
             change = {name: -int(math.copysign(1, entry)) * way for name, entry in derivative.items() if entry}
             turn = [-way * entry / across if across else 0.0 for entry in gradient]
-            yield Flip(key, sign, -way, margin, change, (turn[0], turn[1], turn[2]))
+            yield Flip(key, sign, -way, margin, change, (turn[0], turn[1], turn[2]), moves)
 
 
 def _geometric(name: str) -> bool:

@@ -130,6 +130,8 @@ class Validation(Outcome):
 
     comparisons: list[Comparison] = field(default_factory=list)
     verdicts: list[Verdicts] = field(default_factory=list)
+    #: What is wrong besides, that no comparison shows, a clause each: how a program lays its image out.
+    wrong: tuple[str, ...] = ()
     #: What was asked for and not compared, as a renderer lacks it: scene, renderer, pass.
     lacking: set[tuple[str, str, str]] = field(default_factory=set)
 
@@ -145,7 +147,7 @@ class Validation(Outcome):
         """
         if trouble := self.trouble(anything=bool(self.comparisons)):
             return trouble
-        agree = all(comparison.ok for comparison in self.comparisons)
+        agree = not self.wrong and all(comparison.ok for comparison in self.comparisons)
         return 0 if agree and all(verdicts.explained for verdicts in self.verdicts) else 1
 
     def counts(self) -> dict[str, dict[str, dict[str, int]]]:

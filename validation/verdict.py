@@ -236,8 +236,9 @@ def judge(
 ) -> Verdicts | None:
     """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does.
 
-    `first`: no more are judged than so many of them, taken from all spheres, if these all come to the same that excuses
-    nothing; 0: all are. `court`: that of other pairs of the same scene, settings and analysis.
+    `first`: no more are judged than so many of them, taken from all spheres, if these all come to one mistake, or than
+    twice as many if nothing explains any; 0: all are. `court`: that of other pairs of the same scene, settings and
+    analysis.
 
     Raises:
         RulesError: the documented rules of one of them failed.
@@ -274,9 +275,10 @@ def judge(
             unproved.append((x, y))
             continue
         verdicts.append(Verdict(x, y, tuple(pixels[x, y]), truth, found[0], found[1], edges[x, y]))
-        if len(verdicts) == first < len(chosen) and not unproved:
+        # What nothing explains may hide a mistake that is less frequent: of that twice as many.
+        if len(verdicts) in (first, 2 * first) and len(verdicts) < len(chosen) and not unproved:
             few = speckles(court, verdicts, sides, compared, pixels)
-            if _same(few):
+            if _same(few) and (len(few) > first or few[0].wrong[0].cause == "mistake"):
                 return Verdicts(label, *_names(sides), len(pixels), _in_order(few), stopped=True)
     verdicts = speckles(court, verdicts, sides, compared, pixels)
     unproved.sort(key=lambda place: (place[1], place[0]))

@@ -288,16 +288,16 @@ def test_what_comes_to_the_same_is_judged_a_few_times(capsys: pytest.CaptureFixt
     result = check([noise(picture(full(), Convention()))])
     (verdicts,) = result.validation.verdicts
     assert verdicts.stopped
-    assert len(verdicts.verdicts) == FIRST_ALIKE < verdicts.differ
+    assert len(verdicts.verdicts) == 2 * FIRST_ALIKE < verdicts.differ
     assert {verdict.truth.id for verdict in verdicts.verdicts} == {-1, 0, 1, 2}
     places = [(verdict.y, verdict.x) for verdict in verdicts.verdicts]
     assert places == sorted(places)
     assert verdicts.record()["stopped"] is True
     print_check(result)
-    told = "the first 12 judged, taken at random from every sphere, all are unexplained; --verdicts N judges more"
+    told = "the first 24 judged, taken at random from every sphere, all are unexplained; --verdicts N judges more"
     assert f"{verdicts.differ} pixels differ; {told}\n" in capsys.readouterr().out
-    (more,) = check([noise(picture(full(), Convention()))], verdicts=14).validation.verdicts
-    assert (len(more.verdicts), more.stopped) == (14, False)
+    (more,) = check([noise(picture(full(), Convention()))], verdicts=26).validation.verdicts
+    assert (len(more.verdicts), more.stopped) == (26, False)
     assert "stopped" not in more.record()
 
 

@@ -58,7 +58,9 @@ def analysis(since: str = "primary", **margins: Any) -> Analysis:
     lit[: ROWS // 2] = True
     sensitivity = {name: np.full(SHAPE, 1.0) for name in NAMES}
     sensitivity["id"] = sensitivity["shadow.L0"] = np.zeros(SHAPE)
-    return Analysis(**stages, sensitivity=sensitivity, outline=20.0, ids=ids, lit=[lit])
+    return Analysis(
+        **stages, sensitivity=sensitivity, outline=20.0, ids=ids, lit=[lit], beside=np.zeros(ids.shape, bool)
+    )
 
 
 def claim(unit: float = 0.5e-6, decision: float = 1e-6, absolute: Mapping[str, float] | None = None) -> Uncertainty:

@@ -10,23 +10,23 @@ namespace whitted {
 // One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
 template <class Real>
 struct SphereConstants {
-    double center[3];               // p
-    Real scale[3];                  // |s|
-    Real inverse_scale[3];          // 1 / |s|
-    Real eye[3];                    // the eye in the sphere's unit space: -p / |s|
-    Real eye_power;                 // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real eye_distance_squared;      // |eye|^2
-    bool meets_plane;               // whether it reaches the image plane z = -near, where primary rays begin to count
-    Real plane_reach[3];            // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
-    Real ambient[3];                // Ka Ia O
-    Real color[3];                  // O
-    Real reflection;                // Kr
-    Real exponent;                  // n
-    std::int32_t integer;           // n where it is an integer that is multiplied out, else -1
-    std::int32_t index;             // in the scene, what the pass `id` shows
-    bool lit;                       // Kd or Ks is not 0
-    bool specular;                  // Ks is not 0
-    const Real *light_terms;        // a light's Kd Ip (three) and Ks Ip (three), one light after the other
+    double center[3];                // p
+    Real scale[3];                   // |s|
+    Real inverse_scale[3];           // 1 / |s|
+    Real eye[3];                     // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;                  // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real eye_distance_squared;       // |eye|^2
+    bool meets_plane;                // whether it reaches the image plane z = -near, where primary rays begin to count
+    Real plane_reach[3];             // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
+    Real ambient[3];                 // Ka Ia O
+    Real color[3];                   // O
+    Real reflection;                 // Kr
+    Real exponent;                   // n
+    std::int32_t integer;            // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;              // in the scene, what the pass `id` shows
+    bool lit;                        // Kd or Ks is not 0
+    bool specular;                   // Ks is not 0
+    const Real *light_terms;         // a light's Kd Ip (three) and Ks Ip (three), one light after the other
     const std::int8_t *light_sides;  // of each light: -1 inside this sphere, 0 on it, 1 outside, exactly
 };
 

@@ -99,6 +99,14 @@ class TemplateError(RendererNameError):
         self.hint = hint
 
 
+class WholeImageError(RendererError):
+    """The program did not end well, though its image is whole: `ending` is a clause, `image` what was drawn."""
+
+    def __init__(self, message: str, ending: str, image: Passes) -> None:
+        super().__init__(message)
+        self.ending, self.image = ending, image
+
+
 @dataclass(frozen=True)
 class Limits:
     """What the program may use. `memory`: bytes of address space; `file`: bytes of any file, None: by the image."""
@@ -192,12 +200,9 @@ class Command:
         if reason := self.unavailable():
             raise RendererError(f"cannot be started: {reason}")
         with _temporary() as folder:
-            image = self._draw(scene, folder)
-        beauty = image.levels / np.float64(image.steps)
-        told = {"renderer": self.name, "levels": str(image.steps), **self.versions()}
-        return Passes(dict.fromkeys(passes, beauty), told)
+            return self._draw(scene, folder, passes)
 
-    def _draw(self, scene: Scene, folder: Path) -> images.Image:
+    def _draw(self, scene: Scene, folder: Path, passes: Sequence[str]) -> Passes:
         """Run the program below that folder, and read its image."""
         # What is ours stands beside the folder of the program, out of its way.
         work = folder / "work"
@@ -212,7 +217,7 @@ class Command:
             )
         size = self.limits.size(scene)
         end = _run(words, folder, self.limits, size)
-        finding = _start(folder) or _too_much(end, folder, size)
+        finding, drawn, ending = _start(folder) or _too_much(end, folder, size), None, ""
         if finding is None:
             finding = _ending(end, folder, self.limits)
             named = any(OUTPUT in word for word in self._words)
@@ -221,11 +226,16 @@ class Command:
             except _FindingError as error:
                 finding = finding or error
             else:
+                beauty = image.levels / np.float64(image.steps)
+                told = {"renderer": self.name, "levels": str(image.steps), **self.versions()}
+                drawn = Passes(dict.fromkeys(passes, beauty), told)
                 if finding is None:
-                    return image
+                    return drawn
+                ending = str(finding)
                 finding = _FindingError(f"{finding}, though its image is whole", finding.hint)
         lines = "".join(f"\n  stderr: {line}" for line in _last_lines(folder))
-        raise RendererError(f"{finding}{lines}" + (f"\n  hint: {finding.hint}" if finding.hint else ""))
+        message = f"{finding}{lines}" + (f"\n  hint: {finding.hint}" if finding.hint else "")
+        raise WholeImageError(message, ending, drawn) if drawn else RendererError(message)
 
     def _program(self) -> Path | None:
         """Where the program is, or would be; None where it is looked for on the PATH and is not there."""

@@ -498,12 +498,13 @@ def uncertainty(
     nearer = CLOSE / (CLOSE - 1)
 
     claims = {kind: np.asarray(getattr(base, kind)) * nearer + found.claims[kind] for kind in MARGINS}
-    # Where they part, and no quantity says so, a step has grown to so much that no decision near there is certain.
+    # Where they part, and no quantity says so, a step has grown to so much that no decision near there is certain: no
+    # bound is claimed of the nearest, and the rule tells what became of it.
     margins = analysis.margins if mirrors else analysis.lighted
     nearest = np.min([margins[kind] for kind in MARGINS], axis=0)
     silent = found.parted & np.all([margins[kind] >= claims[kind] for kind in MARGINS], axis=0)
     for kind in MARGINS:
-        claims[kind] = np.where(silent & (margins[kind] == nearest), NEAR * nearest, claims[kind])
+        claims[kind] = np.where(silent & (margins[kind] == nearest), np.inf, claims[kind])
     return dataclasses.replace(base, **claims, absolute=with_mirrors(base, found.color))
 
 
