@@ -12,6 +12,7 @@ import contextlib
 import functools
 import itertools
 import math
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from validation import images
 from validation.compare import Record
 from validation.encoding import QUANTISATIONS, Encoding
 from validation.renderers import Settings, Uncertainty, floats
-from validation.renderers.command import PREFIX, Command, Limits
+from validation.renderers.command import PREFIX, Command, Limits, WholeImageError
 from validation.run import (
     ANALYSIS_MAX_PIXELS,
     MOST_VERDICTS,
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
     from validation.follow import Follower
+    from validation.verdict import Verdict
 
     _Counts: TypeAlias = dict["Convention", int]
 
@@ -67,6 +69,10 @@ FIRST = 16
 
 #: No more pixels are judged than so many of an image if these all come to the same, unless more are asked for.
 FIRST_ALIKE = 12
+
+#: Unless more are asked for so many seconds are spent on judging, over all images, of which each has its share; a part
+#: of that is enough for FIRST_ALIKE pixels with one mistake. So many pixels are judged whatever that takes.
+SECONDS, NAMED, FEW = 20.0, 0.25, 3
 
 #: How a verdict names a mistake, and the share of the pixels judged that have to show one.
 MISTAKE, LIKELY = "truth makes this pixel if it ", 5
@@ -103,6 +109,8 @@ class Picture:
     scene: Scene
     levels: NDArray[Any]
     steps: int = 255
+    ending: str = ""  # how the program ended, if not well, as a clause: "ended with exit status 1"
+    told: str = ""  # all that there is to say about that
 
 
 @dataclass(frozen=True)
@@ -264,10 +272,12 @@ def _tally(
             drawn = colors[sample][k]
             for wraps in (False, True):
                 if not wraps or (drawn > 1).any():
-                    expected = Encoding(quantisation, picture.steps, wraps).encode(drawn)
+                    expected = Encoding(quantisation, picture.steps, wraps).either(drawn)
                 for flipped in (False, True):
                     candidate = found[Convention(sample, flipped, quantisation, fault), wraps]
-                    same = expected == levels[flipped]
+                    same = expected[0] == levels[flipped]
+                    if len(expected) > 1:
+                        same |= expected[-1] == levels[flipped]
                     candidate.places.append(same[:, 0] & same[:, 1] & same[:, 2])  # all() takes five times as long
     return list(found.values())
 
@@ -338,7 +348,7 @@ def _mistaken(
 
     def same(made: Colors, places: NDArray[np.int64], quantisation: str, flipped: bool) -> int:
         encoding = Encoding(quantisation, steps, wraps)
-        return int(((encoding.encode(made) == levels[flipped][places]) & ~np.isnan(made)).all(axis=-1).sum())
+        return int((encoding.makes(made, levels[flipped][places]) & ~np.isnan(made)).all(axis=-1).sum())
 
     def counted(told: Settings, follower: type[Follower], places: NDArray[np.int64], some: Sequence[Sample]) -> _Counts:
         """How many of some pixels each convention makes, of truth that follows a rule."""
@@ -382,14 +392,56 @@ def _contours(levels: NDArray[Any]) -> NDArray[np.bool_]:
 # ---- what is left
 
 
+class Pace:
+    """How long judging takes: every image has its share of the time, in which its places come one by one."""
+
+    def __init__(self, images: int, seconds: float, progress: Callable[[str], None] | None) -> None:
+        """`seconds`: over so many images."""
+        self.images, self.left, self.progress = images, seconds, progress
+        self.judged = 0
+
+    def through(self, places: Sequence[tuple[int, int]], verdicts: Sequence[Verdict]) -> Iterator[tuple[int, int]]:
+        """As many of the places as there is time for; `verdicts`: those that there are, which grows."""
+        begin, share = time.monotonic(), self.left / max(self.images, 1)
+        try:
+            for k, place in enumerate(places):
+                spent = time.monotonic() - begin
+                over = spent > share or (spent > NAMED * share and _named(verdicts))
+                if over and k and self.judged >= FEW:
+                    return
+                if self.progress:
+                    self.progress(f"judging {k + 1} of {len(places)} pixels")
+                self.judged += 1
+                yield place
+        finally:
+            self.left = max(self.left - (time.monotonic() - begin), 0.0)
+
+    def next(self) -> None:
+        """Go on to another image."""
+        self.images -= 1
+
+
+def _named(verdicts: Sequence[Verdict]) -> bool:
+    """Whether enough of them come to one mistake."""
+    found = Counter(verdict.renderer.because for verdict in verdicts if verdict.renderer.cause == "mistake")
+    return max(found.values(), default=0) >= FIRST_ALIKE
+
+
 class Still:
     """Images that are there already, behind the face of a renderer: each is of one scene."""
 
     precision = "8-bit"
 
-    def __init__(self, name: str, pictures: Sequence[Picture], convention: Convention, suspected: str = "") -> None:
+    def __init__(
+        self,
+        name: str,
+        pictures: Sequence[Picture],
+        convention: Convention,
+        suspected: str = "",
+        pace: Pace | None = None,
+    ) -> None:
         """`pictures` were made with that convention; `suspected`: the mistake that the judge tries first."""
-        self.suspected = suspected
+        self.suspected, self.pace = suspected, pace
         self.name, self.pictures = name, pictures
         self.convention, self.encoding = convention, Encoding(convention.quantisation)
 
@@ -463,10 +515,11 @@ class Checked:
     left: Sequence[Left]
     validation: Validation
     steps: int = 255
+    ending: str = ""  # how the program ended, if not well, as a clause
 
     @property
     def status(self) -> int:
-        """The exit status: as of the comparison; a convention of its own is no fault, a layout is."""
+        """The exit status: as of the comparison; a convention of its own is no fault, a layout and an ending are."""
         return self.validation.status
 
     @property
@@ -475,7 +528,8 @@ class Checked:
         if self.validation.failures:
             return "failed"
         if self.status:
-            return "not right"
+            right = self.validation.wrong == (self.ending,) and replace(self.validation, wrong=()).ok
+            return f"right, but it {self.ending}" if right else "not right"
         return "right" if self.fit is None or self.fit.convention.specified else "right but for its convention"
 
     @property
@@ -496,7 +550,7 @@ class Checked:
 
     def about(self) -> list[str]:
         """The convention, what it explains, and what is left, a line each; indented: about the line before."""
-        lines = []
+        lines, likely = [], self.likely()
         if fit := self.fit:
             share = f"{fit.explained} of {fit.pixels} pixels"
             said = "; ".join(fit.convention.in_words(self.steps))
@@ -507,7 +561,8 @@ class Checked:
                 lines.append(f"  that of the specification; it makes {share} byte by byte")
             else:
                 lines.append(f"  it makes {share} byte by byte, the specification's makes {fit.plain}")
-            if fit.mistake:
+            # Judged pixel by pixel it may turn out to be another one: a single cause is told.
+            if fit.mistake and (fit.mistake in likely or not likely):
                 lines.append(f"  fitted with the mistake that most of the rest shows: the program {fit.mistake}")
             if fit.alike:
                 others = "; or ".join(", ".join(other.says) for other in fit.alike[:MOST_ALIKE])
@@ -515,6 +570,8 @@ class Checked:
                 lines.append(f"  as many are made by: {others}" + (f", and {more} more" if more > 0 else ""))
             if fit.wraps:
                 lines.append("wrong: colors above 1 are not clamped: they begin again at 0")
+        if self.ending:
+            lines.append(f"wrong: the program {self.ending}; what it has drawn is checked all the same")
         for entry in self.left:
             if not entry.off:
                 lines.append(f"{entry.label}: nothing is left, all {entry.pixels} pixels are explained")
@@ -544,6 +601,7 @@ class Checked:
                 "known": fit.known,
             },
             "left": [vars(entry).copy() for entry in self.left],
+            "ending": self.ending or None,
             **self.validation.record(),
         }
 
@@ -566,7 +624,7 @@ def check(
         name: of the program, for the verdicts.
         failures: what it failed at before, of other scenes.
         verdicts: of each image so many differing pixels are judged; None: a hundred, or the first few where these all
-            come to the same mistake, or to none that is known.
+            come to the same mistake, or to none that is known, or as many as there is time for.
         on_rendered: called with every image that was compared.
         progress: called with what is being done.
 
@@ -587,13 +645,21 @@ def check(
     if progress:
         progress("fitting sampling and quantisation")
     found = fit(pictures, settings)
-    still = Still(name, pictures, found.convention, found.mistake)
+    short = found.convention.short
+
+    def judging(text: str) -> None:
+        if progress:
+            progress(f"{short}: {text}")
+
+    pace = Pace(len(pictures), SECONDS if verdicts is None else math.inf, judging)
+    still = Still(name, pictures, found.convention, found.mistake, pace)
     left: list[Left] = []
 
     def rendered(entry: Rendered) -> None:
         for comparison in entry.comparisons:
             if comparison.maps is not None:
                 left.append(_left(entry, comparison.maps, found.convention))
+        pace.next()
         if on_rendered:
             on_rendered(entry)
 
@@ -607,12 +673,18 @@ def check(
         verdicts=MOST_VERDICTS if verdicts is None else verdicts,
         first=FIRST_ALIKE if verdicts is None else 0,
         on_rendered=rendered,
-        progress=progress,
+        progress=judging,
     )
     result.failures[:0] = failures
-    if found.convention.fault:
-        result.wrong = (found.convention.fault,)
-    checked = Checked(found, left, result, pictures[0].steps)
+    # What a comparison says to who may not know of this one.
+    result.notes = [note for note in result.notes if "`whitted check`" not in note.message]
+    result.notes += [Note(picture.label, name, picture.told) for picture in pictures if picture.ending]
+    endings = [picture.ending for picture in pictures if picture.ending]
+    ending = endings[0] if endings else ""
+    if ending and len(pictures) > 1:
+        ending += f" in {len(endings)} of {len(pictures)} scenes"
+    result.wrong = tuple(filter(None, (found.convention.fault, ending)))
+    checked = Checked(found, left, result, pictures[0].steps, ending)
     result.about = checked.about()
     return checked
 
@@ -658,7 +730,7 @@ def draw_pictures(
     limits: Limits | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[list[Picture], list[Note]]:
-    """What a program draws of every scene within those limits, and what it failed at.
+    """What a program draws of every scene within those limits, and what it failed at: to draw, not to end well.
 
     Raises:
         TemplateError: that is no command.
@@ -669,12 +741,15 @@ def draw_pictures(
         if progress:
             progress(f"{label}: {template}")
         try:
-            drawn = draw(program, label, scene, ("beauty",), settings)
+            drawn, ending, told = draw(program, label, scene, ("beauty",), settings), "", ""
+        except WholeImageError as error:
+            drawn, ending, told = error.image, error.ending, str(error)
         except RendererError as error:
             failures.append(Note(label, program.name, str(error)))
             continue
         steps = int(drawn.metadata["levels"])
-        pictures.append(Picture(label, scene, np.rint(drawn["beauty"] * steps).astype(np.int64), steps))
+        levels = np.rint(drawn["beauty"] * steps).astype(np.int64)
+        pictures.append(Picture(label, scene, levels, steps, ending, told))
     return pictures, failures
 
 

@@ -532,7 +532,7 @@ def _write_text(path: Path, text: str) -> None:
 )
 @click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
 @drawing_options
-@results_options("each image", " Without it no more than 12 where these all come to the same.")
+@results_options("each image", " Without it no more than 12 where these all come to the same, or than 20 s allow.")
 @click.pass_context
 def check(
     ctx: click.Context,
@@ -562,7 +562,8 @@ def check(
     whitted check scenes/gallery/*.txt --command './mine {scene}' --report out
     whitted check scenes/spec/*.txt --command 'ann/mine {scene}' --command 'bob/mine {scene}' --json all.json
 
-    Exit status: 0 nothing is left, 1 something is, 2 the input or the command is wrong, 3 a program failed.
+    Exit status: 0 nothing is left, 1 something is or a program did not end well, 2 the input or the command is wrong,
+    3 a program failed.
     """  # noqa: D301 - click wants that character, not a backslash
     from validation import renderers
     from validation.check import check, draw_pictures, read_picture, together
@@ -614,10 +615,16 @@ def check(
                 results = {name: check(pictures, name=name, **common)}
             else:
                 limits, results = Limits(seconds=time_limit, memory=memory * MEBIBYTE), {}
-                for template in templates:
-                    drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
-                    name = f"{PREFIX}{template}"
-                    results[name] = check(drawn, name=name, failures=failures, **common)
+                try:
+                    for template in templates:
+                        drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
+                        name = f"{PREFIX}{template}"
+                        results[name] = check(drawn, name=name, failures=failures, **common)
+                except KeyboardInterrupt:
+                    # What is finished is told.
+                    if results:
+                        print_checks(results)
+                    raise
         (first, *others) = results.values()
         result = together(results) if others else first.validation
         result.command = command

@@ -25,6 +25,12 @@ QUANTISATIONS = {
     "gamma-truncate": "v to the power of 1/2.2, times 255, truncated",
 }
 
+#: What a program in float32 may be off by on a curve, u = 2^-24: in the power, which is 1.055 p, by 2 u of it for pow,
+#: by u for a factor and by |ln p| u for the rounded exponent, where p |ln p| <= 1 / e; by u of the result for the
+#: difference, by u for its 0.055, and by u for the product with the levels: less than 8 u in all where the result is
+#: at most 1, and as much of it beyond.
+CURVE_ROUNDINGS = 8 * 2.0**-24
+
 
 @dataclass(frozen=True)
 class Encoding:
@@ -55,22 +61,43 @@ class Encoding:
             .replace("255", str(self.steps))
         )
 
-    def encode(self, colors: NDArray[Any]) -> Levels:
-        """The levels of colours."""
+    @property
+    def curved(self) -> bool:
+        """Whether it is more than a product."""
+        return self.quantisation.startswith(("srgb", "gamma"))
+
+    def encode(self, colors: NDArray[Any], roundings: float = 0.0) -> Levels:
+        """The levels of colours; `roundings`: what the curve is off by."""
         values = np.asarray(colors, dtype=np.float64)
         values = np.where(values > 0, values if self.wraps else np.where(values < 1, values, 1.0), 0.0)
         # A little above 1 a colour that wraps begins again.
-        scaled = np.floor(self._scale() * self._curve(values) + self._offset())
+        curve = self._curve(values)
+        if roundings:
+            curve = np.maximum(curve + roundings * np.maximum(curve, 1.0), 0.0)
+        scaled = np.floor(self._scale() * curve + self._offset())
         most = self.steps + 1 if self.wraps else np.inf
         levels: Levels = np.where(scaled == np.inf, 0, np.mod(scaled, most) if self.wraps else scaled).astype(np.int64)
         return levels if self.wraps else np.minimum(levels, self.steps)
 
+    def makes(self, colors: NDArray[Any], levels: NDArray[Any]) -> NDArray[np.bool_]:
+        """Where these are the levels of colours, as far as the roundings of a curve tell."""
+        either = self.either(colors)
+        same: NDArray[np.bool_] = (either[0] == levels) | (either[-1] == levels)
+        return same
+
+    def either(self, colors: NDArray[Any]) -> list[Levels]:
+        """The levels that colours may have: of a curve two, as no level is as narrow as its roundings are."""
+        if not self.curved:
+            return [self.encode(colors)]
+        return [self.encode(colors, roundings) for roundings in (-CURVE_ROUNDINGS, CURVE_ROUNDINGS)]
+
     def interval(self, levels: NDArray[Any]) -> tuple[Array, Array]:
         """The colours that levels may come from, from the lowest to the highest; those of the ends have no bound."""
         at = np.asarray(levels, dtype=np.float64)
-        low = self._inverse((at - self._offset()) / self._scale())
-        high = self._inverse((at + 1 - self._offset()) / self._scale())
-        return np.where(at <= 0, -np.inf, low), np.where(at >= self.steps, np.inf, high)
+        low, high = self._curve_between(at)
+        # Colours above 1 become 1: next to it the curve may round to the level below.
+        last = (at >= self.steps) | (self.curved & (high >= 1))
+        return np.where(at <= 0, -np.inf, self._inverse(low)), np.where(last, np.inf, self._inverse(high))
 
     def distance(self, levels: NDArray[Any], colors: NDArray[Any]) -> Array:
         """How far colours lie from those that levels may come from, 0 inside; NaN of what is no number."""
@@ -81,14 +108,21 @@ class Encoding:
             turn = self.steps + 1
             scaled = self._scale() * self._curve(np.maximum(values, 0.0)) + self._offset() - 0.5
             at = at + turn * np.maximum(np.rint((scaled - at) / turn), 0.0)
-            low = np.where(at <= 0, -np.inf, self._inverse((at - self._offset()) / self._scale()))
-            high = self._inverse((at + 1 - self._offset()) / self._scale())
+            low, high = map(self._inverse, self._curve_between(at))
+            low = np.where(at <= 0, -np.inf, low)
         else:
             low, high = self.interval(at)
         with np.errstate(invalid="ignore"):
             apart = np.where(values < low, low - values, np.where(values > high, values - high, 0.0))
         result: Array = np.where(np.isnan(values), np.nan, apart)
         return result
+
+    def _curve_between(self, at: Array) -> tuple[Array, Array]:
+        """Between which values of the curve a level lies."""
+        low, high = ((at + k - self._offset()) / self._scale() for k in (0, 1))
+        if not self.curved:
+            return low, high
+        return low - CURVE_ROUNDINGS * np.maximum(low, 1.0), high + CURVE_ROUNDINGS * np.maximum(high, 1.0)
 
     def _scale(self) -> float:
         return {"255.9": self.steps + 0.9, "256": self.steps + 1.0}.get(self.quantisation, float(self.steps))

@@ -205,7 +205,7 @@ def _raw(data: bytes, at: int, size: tuple[int, int], maximum: int) -> Levels:
     if have > need:
         if _is_text_mode(data, need):
             extra = f"{have - need} byte{'s'[: have - need > 1]} too many, a carriage return before each line feed"
-            raise ImageError(f"it has {extra}", "written in text mode? open the file in binary mode")
+            raise ImageError(f"it has {extra}", 'written in text mode? open the file in binary mode, "wb"')
         if not data[start + need :].isspace():
             hint = numbers_hint if as_text else ""
             if width == 1 and have == 2 * need:

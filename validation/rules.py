@@ -198,7 +198,8 @@ MISTAKES = (
 #: A mistake that shows at some pixels and not at others, as rounding has it: see validation.acne.
 ACNE = Rule(
     "hides some lights behind the very sphere that the shadow ray starts on: shadow acne",
-    hint="a shadow ray meets the surface it starts on again, near t = 0: let hits count from t > 0.0001 on",
+    hint="a shadow ray meets the surface it starts on again, near t = 0: let hits count from t > 0.0001 on; "
+    "if they do, compute in double, or take a larger epsilon, or leave out the near root of the sphere it starts on",
 )
 
 

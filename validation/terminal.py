@@ -204,6 +204,10 @@ def print_verdicts(verdicts: Verdicts) -> None:
         (finding,) = verdicts.verdicts[0].wrong
         same = "come to one mistake" if finding.cause == "mistake" else "are unexplained"
         sample = f"; the first {judged} judged, taken at random from every sphere, all {same}; --verdicts N judges more"
+    elif verdicts.late:
+        sample = (
+            f"; {judged} of them judged, taken at random from every sphere, to keep it short; --verdicts N judges more"
+        )
     elif judged < verdicts.differ:
         sample = f", {judged} of them judged, chosen at random" if judged else ", none of them judged"
     pixels = "1 pixel differs" if verdicts.differ == 1 else f"{verdicts.differ} pixels differ"
@@ -457,13 +461,22 @@ def print_checks(results: Mapping[str, Checked]) -> None:
     table.add_column("most likely", overflow="fold")
     for name, result in results.items():
         fit, failures = result.fit, result.validation.failures
-        reasons = [f"failed at {len(failures)}: {failures[0].message.partition(chr(10))[0]}"] if failures else []
+        of = len(failures) + len(result.left)
+        reasons = (
+            [f"failed in {len(failures)} of {of} scenes: {failures[0].message.partition(chr(10))[0]}"]
+            if failures
+            else []
+        )
+        reasons += [f"it {result.ending}"] if result.ending else []
         reasons += [fit.convention.fault] if fit and fit.convention.fault else []
         reasons += [f"it {says}" for says in result.likely()]
         largest = max((comparison.max or 0.0 for comparison in result.validation.comparisons), default=None)
         table.add_row(
             Text(name.removeprefix("cmd:")),
-            Text(result.says.partition(" but")[0], style="bold red" if result.status else "green"),
+            Text(
+                "not right" if result.status == 1 else result.says.partition(" but")[0],
+                style="bold red" if result.status else "green",
+            ),
             fit.convention.short if fit else "-",
             f"{sum(entry.off for entry in result.left)}/{sum(entry.pixels for entry in result.left)}",
             number(largest),

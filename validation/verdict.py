@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -153,6 +153,8 @@ class Verdicts:
     unproved: list[tuple[int, int]] = field(default_factory=list)  # where no precision was enough for truth
     #: Whether no more were judged than the first few, as these came to the same.
     stopped: bool = False
+    #: Whether no more were judged than there was time for.
+    late: bool = False
 
     @property
     def explained(self) -> bool:
@@ -179,6 +181,7 @@ class Verdicts:
             "explained": self.explained,
             "groups": [group.record() for group in self.groups()],
             **({"stopped": True} if self.stopped else {}),
+            **({"late": True} if self.late else {}),
         }
 
 
@@ -208,6 +211,13 @@ def together(several: Sequence[Verdicts]) -> list[Group]:
 
 
 # ---- which pixels
+
+
+class Pace(Protocol):
+    """How much is judged where time is short; a renderer under test may have one, as `pace`."""
+
+    def through(self, places: Sequence[tuple[int, int]], verdicts: Sequence[Verdict]) -> Iterator[tuple[int, int]]:
+        """As many of the places as there is time for; `verdicts`: those that there are, which grows."""
 
 
 def differing(comparisons: Iterable[Comparison]) -> dict[tuple[int, int], list[str]]:
@@ -267,7 +277,8 @@ def judge(
     sides = renderer, reference
     verdicts: list[Verdict] = []
     unproved: list[tuple[int, int]] = []
-    for x, y in chosen:
+    pace: Pace | None = getattr(renderer.renderer, "pace", None)
+    for x, y in pace.through(chosen, verdicts) if pace else chosen:
         try:
             truth = court.truth(x, y)
             found = [court.find(truth, side, compared) for side in sides]
@@ -282,7 +293,8 @@ def judge(
                 return Verdicts(label, *_names(sides), len(pixels), _in_order(few), stopped=True)
     verdicts = speckles(court, verdicts, sides, compared, pixels)
     unproved.sort(key=lambda place: (place[1], place[0]))
-    return Verdicts(label, *_names(sides), len(pixels), _in_order(verdicts), unproved)
+    late = len(verdicts) + len(unproved) < len(chosen)
+    return Verdicts(label, *_names(sides), len(pixels), _in_order(verdicts), unproved, late=late)
 
 
 def _names(sides: tuple[Side, Side]) -> tuple[str, str]:

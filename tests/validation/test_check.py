@@ -12,6 +12,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import doubles
@@ -26,9 +27,9 @@ import tracer
 import validation.check
 from tracer.passes import SAMPLES, Sample
 from validation import Settings, cli
-from validation.check import FIRST_ALIKE, LAYOUTS, Convention, Picture, check, fit
+from validation.check import FEW, FIRST_ALIKE, LAYOUTS, Convention, Pace, Picture, check, fit
 from validation.encoding import QUANTISATIONS, Encoding
-from validation.run import InputError, resized
+from validation.run import MOST_VERDICTS, InputError, resized
 from validation.terminal import print_check
 
 CONVENTIONS = [
@@ -301,13 +302,55 @@ def test_what_comes_to_the_same_is_judged_a_few_times(capsys: pytest.CaptureFixt
     assert "stopped" not in more.record()
 
 
+@pytest.fixture(autouse=True)
+def any_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is judged does not depend on how busy a machine is."""
+    monkeypatch.setattr("validation.check.SECONDS", 1e6)
+
+
+def mixed() -> Picture:
+    """With a mistake, and noise in its upper part: every judgement goes on."""
+    image = picture(full(), Convention(), DEFECTS["normals"].draw)
+    levels = np.where((np.arange(48) < 16)[:, None, None], noise(image).levels, image.levels)
+    return dataclasses.replace(image, levels=levels)
+
+
+def test_as_much_is_judged_as_there_is_time_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("validation.check.SECONDS", 0.0)
+    told: list[str] = []
+    two = [mixed(), dataclasses.replace(mixed(), label="again")]
+    result = check(two, progress=told.append)
+    assert [len(verdicts.verdicts) for verdicts in result.validation.verdicts] == [FEW, 1]
+    assert all(verdicts.late and not verdicts.stopped for verdicts in result.validation.verdicts)
+    assert [text for text in told if "judging" in text] == [
+        f"corner, truncate: judging {k} of {MOST_VERDICTS} pixels" for k in (1, 2, 3, 1)
+    ]
+    assert result.validation.verdicts[0].record()["late"] is True
+    print_check(result)
+    differ = result.validation.verdicts[0].differ
+    assert f": {differ} pixels differ; 3 of them judged, taken at random" in (out := capsys.readouterr().out)
+    assert "to keep it short; --verdicts N judges more" in out
+    (more,) = check([mixed()], verdicts=5).validation.verdicts
+    assert (len(more.verdicts), more.late) == (5, False), "what is asked for takes its time"
+
+
+def test_a_mistake_that_enough_pixels_show_needs_no_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = itertools.count()
+    monkeypatch.setattr("validation.check.time.monotonic", lambda: next(now))
+    mistake: Any = SimpleNamespace(renderer=SimpleNamespace(cause="mistake", because="it does"))
+    other: Any = SimpleNamespace(renderer=SimpleNamespace(cause="unexplained", because="nothing"))
+    places = [(k, 0) for k in range(100)]
+    few, enough = [mistake] * (FIRST_ALIKE - 1) + [other] * 9, [mistake] * FIRST_ALIKE + [other] * 9
+    count = {len(verdicts): len(list(Pace(2, 80, None).through(places, verdicts))) for verdicts in (few, enough)}
+    assert count == {len(few): 40, len(enough): 10}, "each image has half of the time, which passes by 1 a pixel"
+
+
 def test_what_does_not_come_to_the_same_is_judged_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """An image with a mistake, and noise in its upper part."""
     monkeypatch.setattr("validation.check.MOST_VERDICTS", 20)
-    defect = DEFECTS["normals"]
-    image = picture(full(), Convention(), defect.draw)
-    levels = np.where((np.arange(48) < 16)[:, None, None], noise(image).levels, image.levels)
-    (verdicts,) = check([dataclasses.replace(image, levels=levels)]).validation.verdicts
+    (verdicts,) = check([mixed()]).validation.verdicts
     assert (len(verdicts.verdicts), verdicts.stopped) == (20, False)
     assert {verdict.renderer.cause for verdict in verdicts.verdicts} == {"mistake", "unexplained"}
 
@@ -409,11 +452,27 @@ def test_the_command_says_all_of_it(scene_file: Path, tmp_path: Path, run: Calla
     assert record["left"][0]["by_more"] > 100
 
 
+def test_a_single_cause_is_told() -> None:
+    """The fit takes the first mistake that makes sense of the bytes, the judge what makes the pixels."""
+    image = picture(full(), Convention(), with_patch(hidden=planted.shadow_acne))
+    result = check([image], verdicts=12)
+    assert list(result.likely()) == [ACNE_SAYS]
+    assert result.fit is not None
+    fitted = "fitted with the mistake"
+    other = dataclasses.replace(
+        result, fit=dataclasses.replace(result.fit, mistake="lets spheres behind a light hide it")
+    )
+    assert fitted not in "".join(other.about())
+    same = dataclasses.replace(result, fit=dataclasses.replace(result.fit, mistake=ACNE_SAYS))
+    assert fitted in "".join(same.about())
+
+
 def test_what_to_do_about_shadow_acne(scene_file: Path, tmp_path: Path, run: Callable[..., Result]) -> None:
     image = picture(full(), Convention(), with_patch(hidden=planted.shadow_acne))
     mine = save(tmp_path / "mine.png", image)
     result = run("check", scene_file, "--image", mine, "--report", tmp_path / "r")
     assert f"most likely: it {ACNE_SAYS} (12 of 12 pixels judged)\n  hint: a shadow ray meets the surface" in result.out
+    assert "if they do, compute in double, or take a larger epsilon, or leave out the near root" in result.out
     assert result.status == 1
     page = html.unescape((tmp_path / "r" / "index.html").read_text(encoding="utf-8"))
     assert f"truth makes this pixel if it {ACNE_SAYS}" in page
@@ -439,6 +498,56 @@ def test_a_program(scene_file: Path, run: Callable[..., Result]) -> None:
     assert "status 7" in failing.err
 
 
+def test_a_failing_program_is_not_sent_to_check(
+    scene_file: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    result = run("check", scene_file, "--verdicts", 1, "--command", "raytrace {scene} --max-reflections 0")
+    assert result.status == 1
+    assert "whitted check" not in result.out
+
+
+def test_a_program_that_ends_badly_is_checked(
+    scene_file: Path, tmp_path: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    monkeypatch.chdir(tmp_path)
+    Path("bad").write_text('raytrace "$@"; echo bye >&2; exit 4\n', encoding="utf-8")
+    command = "sh bad {scene}"
+    result = run("check", scene_file, "--command", command, "--json", tmp_path / "r.json")
+    assert (result.status, result.err) == (1, "")
+    assert result.out.splitlines()[-1] == "right, but it ended with exit status 4"
+    assert "ended with exit status 4, though its image is whole\n  stderr: bye\n  hint: " in result.out
+    record = strict((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert (record["ending"], record["left"][0]["edge"], record["failures"]) == ("ended with exit status 4", 0, [])
+    wrong = f"{command} --max-reflections 0"
+    result = run("check", scene_file, "--verdicts", 1, "--command", wrong, "--command", command)
+    assert result.status == 1
+    assert "it reflects 0 times, not 3" in result.out
+    assert "0 of 2 programs are right" in result.out
+    assert result.out.count("it ended with exit status 4") == 2
+    one = run("check", scene_file, "--verdicts", 1, "--command", wrong)
+    assert one.out.splitlines()[-1] == "not right"
+
+
+def test_what_is_finished_is_told_where_the_rest_is_not(
+    scene_file: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    original = validation.check.draw_pictures
+
+    def interrupted(scenes: Any, template: str, *arguments: Any, **more: Any) -> Any:
+        if "center" in template:
+            raise KeyboardInterrupt
+        return original(scenes, template, *arguments, **more)
+
+    monkeypatch.setattr(validation.check, "draw_pictures", interrupted)
+    programs = ("--command", "raytrace {scene}", "--command", "raytrace {scene} --sample center")
+    result = run("check", scene_file, *programs)
+    assert result.status == 130
+    assert "1 of 1 programs are right" in result.out
+
+
 def test_several_programs_have_a_line_each(
     scene_file: Path, tmp_path: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -448,7 +557,7 @@ def test_several_programs_have_a_line_each(
         "raytrace {scene}": "right  corner, truncate  0/3072  0  -",
         "raytrace {scene} --sample center": "right  center, truncate  0/3072  0  -",
         "raytrace {scene} --max-reflections 0": "not right  corner, truncate  N/3072  N  it reflects 0 times, not 3",
-        "python -c 'raise SystemExit(7)' {scene}": "failed  -  0/0  -  failed at 1: ended with exit status 7",
+        "python -c 'exit(7)' {scene}": "failed  -  0/0  -  failed in 1 of 1 scenes: ended with exit status 7",
     }
     words = [word for program in programs for word in ("--command", program)]
     result = run("check", scene_file, *words, "--json", tmp_path / "all.json", "--report", tmp_path / "r")

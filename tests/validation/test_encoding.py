@@ -66,7 +66,45 @@ def test_other_levels_are_as_far_as_their_interval(v: float) -> None:
         assert above > 0 or below > 0  # at a border one of them may be 0
         # Two levels are one interval apart, the narrowest of which is that of the steepest part of sRGB's curve.
         if level[0] + 2 <= of.steps:
-            assert of.distance(level + 2, np.array([v]))[0] > 1 / 12.92 / (of.steps + 1) * 0.999
+            narrowest = 1 / (of.steps + 1) - 2 * of.curved * encoding.CURVE_ROUNDINGS
+            assert of.distance(level + 2, np.array([v]))[0] > narrowest / 12.92 * 0.999
+
+
+def in_floats(name: str, values: Any, number: Any) -> Any:
+    """The levels of a program that computes a curve in these numbers."""
+    v = np.clip(values, 0, 1).astype(number)
+    if name.startswith("gamma"):
+        curve = v ** number(1 / 2.2)
+    else:
+        power = number(1.055) * v ** number(1 / 2.4) - number(0.055)
+        curve = np.where(v <= number(0.0031308), number(12.92) * v, power)
+    return np.floor(curve * number(255) + number(0 if "truncate" in name else 0.5)).astype(np.int64)
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64])
+@pytest.mark.parametrize("name", [name for name in QUANTISATIONS if Encoding(name).curved])
+def test_a_curve_may_be_rounded(name: str, number: Any) -> None:
+    """Next to a border between levels a right program may take the other one, and of 1 the level below the last."""
+    of = Encoding(name)
+    border = (of.interval(np.arange(254))[1] + of.interval(np.arange(1, 255))[0]) / 2
+    values = np.concatenate([border * (1 + k * 2.0**-23) for k in range(-8, 9)] + [np.linspace(-0.1, 1.7, 10_001)])
+    # The program has the numbers of its own precision.
+    values = values.astype(number).astype(np.float64)
+    levels = in_floats(name, values, number)
+    assert of.makes(values, levels).all()
+    assert of.distance(levels, values).max() == 0
+    assert number is np.float64 or (of.encode(values) != levels).any(), "it makes a difference"
+    wrong = np.where(levels < 2, levels + 2, levels - 2)
+    assert not of.makes(values, wrong).any()
+    assert of.distance(wrong, values).min() > 1e-5
+
+
+def test_the_curve_of_1_may_be_a_little_less() -> None:
+    assert in_floats("srgb-truncate", np.array([1.0, 1.7]), np.float64).tolist() == [254, 254]
+    assert Encoding("srgb-truncate").distance(np.array([254, 254]), np.array([1.0, 1.7])).tolist() == [0, 0]
+    assert Encoding("srgb").distance(np.array([254]), np.array([1.7]))[0] > 0.69
+    assert Encoding().distance(np.array([254]), np.array([1.7]))[0] > 0.69
+    assert Encoding("srgb-truncate", wraps=True).distance(np.array([254]), np.array([1.7]))[0] > 0.01
 
 
 def test_the_ends_have_no_bound_and_nan_has_no_distance() -> None:

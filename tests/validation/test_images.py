@@ -258,7 +258,7 @@ class TestFaults:
             data = p6(levels, maximum, header)
             message, hint = fault(data.replace(b"\n", b"\r\n"))
             assert "a carriage return before each line feed" in message
-            assert hint == "written in text mode? open the file in binary mode"
+            assert hint == 'written in text mode? open the file in binary mode, "wb"'
         # All that is too much is white space, which otherwise is allowed.
         assert "text mode" in fault(p6(LEVELS * 0 + 10).replace(b"\n", b"\r\n"))[1]
         # One bare line feed: no text mode.
