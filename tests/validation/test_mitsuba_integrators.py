@@ -17,7 +17,7 @@ from tracer import Light, Scene, Sphere, View, margins, reference
 from tracer.passes import MARGINS, SAMPLES, Passes, Sample, names
 from validation import compare_passes
 from validation.compare import Judge
-from validation.renderers import Renderer, Settings, get
+from validation.renderers import Renderer, Settings, Uncertainty, get
 from validation.renderers.mitsuba import MitsubaSpec, epsilons, path, precision, stock, variants
 from validation.renderers.mitsuba.epsilons import RAY_EPSILON
 from validation.renderers.mitsuba.path import MitsubaPath
@@ -492,11 +492,17 @@ def test_differences_are_explained_by_the_rule_and_by_nothing_else(need: Need, d
     assert causes.count("rule") > 0
 
     class Silent(MitsubaPath):
-        """The same without its documents."""
+        """The same without its documents: neither a rule, nor what that brings it to claim."""
 
         def rules(self, scene: Scene, settings: Settings) -> Sequence[Rule]:
             del scene, settings
             return ()
+
+        def uncertainty(
+            self, scene: Scene, settings: Settings, analysis: margins.Analysis | None = None
+        ) -> Uncertainty:
+            del analysis
+            return precision.uncertainty(scene, settings, float32_roots=True)
 
     assert not all(entry.explained for entry in judged(Silent("llvm"), drawn).verdicts)
 
