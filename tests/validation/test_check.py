@@ -27,7 +27,7 @@ import tracer
 import validation.check
 from tracer.passes import SAMPLES, Sample
 from validation import Settings, cli
-from validation.check import FEW, FIRST_ALIKE, LAYOUTS, Convention, Pace, Picture, check, fit
+from validation.check import FEW, FIRST_ALIKE, LAYOUTS, Convention, Pace, Picture, check, fit, together
 from validation.encoding import QUANTISATIONS, Encoding
 from validation.run import MOST_VERDICTS, InputError, resized
 from validation.terminal import print_check
@@ -126,6 +126,9 @@ def test_a_fault_of_the_layout_is_told(fault: str) -> None:
     assert result.fit.explained == result.fit.pixels
     assert [entry.off for entry in result.left] == [0]
     assert result.status == 1
+    # In the file and the report too, alone and beside other programs.
+    assert result.record()["ok"] is False
+    assert not together({"mine": result}).ok
     assert f"wrong: {fault}; it is compared as if that were right" in result.about()
 
 
