@@ -29,6 +29,7 @@ from tracer.passes import SAMPLES, Sample
 from validation import Settings, cli
 from validation.check import FEW, FIRST_ALIKE, LAYOUTS, Convention, Pace, Picture, check, fit, together
 from validation.encoding import QUANTISATIONS, Encoding
+from validation.report.report import headline
 from validation.run import MOST_VERDICTS, InputError, resized
 from validation.terminal import print_check
 
@@ -128,7 +129,10 @@ def test_a_fault_of_the_layout_is_told(fault: str) -> None:
     assert result.status == 1
     # In the file and the report too, alone and beside other programs.
     assert result.record()["ok"] is False
-    assert not together({"mine": result}).ok
+    both = together({"mine": result})
+    assert not both.ok
+    assert headline(result.validation).startswith(f"Wrong: {fault}. ")
+    assert headline(both).startswith(f"Wrong: mine: {fault}. ")
     assert f"wrong: {fault}; it is compared as if that were right" in result.about()
 
 

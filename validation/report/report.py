@@ -329,8 +329,9 @@ def _order(name: str) -> tuple[int, int]:
 
 
 def headline(result: Validation) -> str:
-    """What came out, in one line; that something failed comes first."""
-    return ". ".join(filter(None, (failed(result.failures), compared(result))))
+    """What came out, in one line; that something failed, or is wrong besides, comes first."""
+    wrong = f"Wrong: {'; '.join(result.wrong)}" if result.wrong else ""
+    return ". ".join(filter(None, (failed(result.failures), wrong, compared(result))))
 
 
 def failed(failures: Sequence[Note]) -> str:
