@@ -7,32 +7,48 @@
 
 namespace whitted {
 
+// Places of spheres among the existing ones.
+struct Blockers {
+    const std::int32_t *begin;
+    const std::int32_t *end;
+};
+
+// The columns of a row, begin .. end - 1, outside of which no ray meets a sphere.
+struct Outline {
+    std::int32_t sphere;  // its place among the existing spheres
+    std::int64_t begin;
+    std::int64_t end;
+};
+
 // One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
 template <class Real>
 struct SphereConstants {
-    double center[3];               // p
-    Real scale[3];                  // |s|
-    Real inverse_scale[3];          // 1 / |s|
-    Real eye[3];                    // the eye in the sphere's unit space: -p / |s|
-    Real eye_power;                 // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real eye_distance_squared;      // |eye|^2
-    bool meets_plane;               // whether it reaches the image plane z = -near, where primary rays begin to count
-    Real plane_reach[3];            // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
-    Real ambient[3];                // Ka Ia O
-    Real color[3];                  // O
-    Real reflection;                // Kr
-    Real exponent;                  // n
-    std::int32_t integer;           // n where it is an integer that is multiplied out, else -1
-    std::int32_t index;             // in the scene, what the pass `id` shows
-    bool lit;                       // Kd or Ks is not 0
-    bool specular;                  // Ks is not 0
-    const Real *light_terms;        // a light's Kd Ip (three) and Ks Ip (three), one light after the other
+    double center[3];                // p
+    Real scale[3];                   // |s|
+    Real inverse_scale[3];           // 1 / |s|
+    Real eye[3];                     // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;                  // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real eye_distance_squared;       // |eye|^2
+    bool meets_plane;                // whether it reaches the image plane z = -near, where primary rays begin to count
+    Real plane_reach[3];             // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
+    Real ambient[3];                 // Ka Ia O
+    Real color[3];                   // O
+    Real reflection;                 // Kr
+    Real exponent;                   // n
+    std::int32_t integer;            // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;              // in the scene, what the pass `id` shows
+    bool lit;                        // Kd or Ks is not 0
+    bool specular;                   // Ks is not 0
+    const Real *light_terms;         // a light's Kd Ip (three) and Ks Ip (three), one light after the other
     const std::int8_t *light_sides;  // of each light: -1 inside this sphere, 0 on it, 1 outside, exactly
+    const Real *to_lights;           // of each light: its place minus p
+    const Real *from_others;         // of each sphere: p minus its centre; null where there are too many
+    const Real *least_facing;        // of each light: below minus this, n.d says for certain that N.L < 0
+    const Blockers *blockers;        // of each light: what can stand between this sphere and it
 };
 
 template <class Real>
 struct LightConstants {
-    double position[3];
     bool dark;  // all intensities are 0
 };
 
@@ -44,11 +60,13 @@ struct SceneConstants {
     std::size_t light_count;
     Real background[3];
     Real shadow_epsilon;
+    Real certain_epsilon;  // a little more: what is above it, is above shadow_epsilon whatever the rounding
     std::int32_t max_reflections;
+    bool cuts;  // leave out what cannot change the result
 };
 
-// Where a span's results go: a plane of `count` values each, null where a pass is not asked for. The planes of shadow
-// and of the single reflections hold zeros before the call.
+// Where a span's results go: a plane of at least `count` values each, null where a pass is not asked for. The planes of
+// shadow and of the single reflections hold zeros before the call.
 template <class Real>
 struct Planes {
     Real *beauty[3];
@@ -65,20 +83,25 @@ struct Planes {
     Real *const *reflection_order;  // three a bounce
 };
 
-// Neighbouring pixels of one row. count is a multiple of the widest packet; the directions are padded to it.
+// Neighbouring pixels of one row. The directions and the planes reach to the next multiple of the widest packet.
 template <class Real>
 struct Span {
     const Real *direction_x;
     Real direction_y;
     Real direction_z;
-    std::size_t count;
+    std::int64_t column;      // of the first pixel
+    std::size_t count;        // at most widest_span
+    const Outline *outlines;  // in the order of the file
+    std::size_t outline_count;
     Planes<Real> planes;
+    std::uint8_t *bytes;  // where not null: the beauty in 8 bits, three bytes a pixel, and no planes
 };
 
 template <class Real>
 using TraceSpan = void (*)(const SceneConstants<Real> &, const Span<Real> &);
 
 inline constexpr std::size_t widest_packet = 16;
+inline constexpr std::size_t widest_span = 256;  // its planes stay in the first-level caches
 
 // The kernels of one instruction set.
 struct Kernels {

@@ -28,6 +28,10 @@ struct Kernel {
     static constexpr Real touch_reach = 64 * unit_roundoff;
     // Beyond this the digits of D are lost anyway; without it a far, small sphere would grow without end.
     static constexpr Real widest_touch = Real(0.5);
+    // A bound above all roundings of D a = h^2 - a c, in units of a (1 + |o|^2), touching() included; and what stays
+    // far above all that underflows. Both are generous: between the bounds the full arithmetic decides.
+    static constexpr Real doubt = 256 * unit_roundoff;
+    static constexpr Real underflow = sizeof(Real) == 8 ? Real(1e-200) : Real(1e-30f);
 
     struct Vec {
         P x, y, z;
@@ -43,9 +47,6 @@ struct Kernel {
         return {select(yes, a.x, b.x), select(yes, a.y, b.y), select(yes, a.z, b.z)};
     }
     static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
-    static WHITTED_INLINE Vec difference(const double *a, const double *b) {
-        return {P(Real(a[0] - b[0])), P(Real(a[1] - b[1])), P(Real(a[2] - b[2]))};
-    }
 
     // The nearest hit of each lane's ray.
     struct Hit {
@@ -120,10 +121,13 @@ struct Kernel {
     }
 
     // Primary rays: the smallest t > 1; of equal ones the first in the file.
-    static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, Vec direction) {
+    static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, const Span<Real> &span, std::int64_t column,
+                                        Vec direction) {
         Hit nearest = no_hit();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
-            const SphereConstants<Real> &sphere = scene.spheres[j];
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const Outline &outline = span.outlines[k];
+            if (outline.begin >= column + Width || outline.end <= column) continue;
+            const SphereConstants<Real> &sphere = scene.spheres[outline.sphere];
             const Vec d = direction * broadcast(sphere.inverse_scale);
             Roots roots =
                 intersect(broadcast(sphere.eye), P(sphere.eye_power), d, reach_squared(P(sphere.eye_distance_squared)));
@@ -133,7 +137,7 @@ struct Kernel {
             const Lanes far = !(roots.near_t > P(one));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = roots.real & (t > P(one)) & (t < nearest.t);
-            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(outline.sphere)), unit_point(roots, d, far), far);
         }
         return nearest;
     }
@@ -148,8 +152,16 @@ struct Kernel {
 
     // The point in the unit space of sphere j.
     static WHITTED_INLINE Vec seen_from(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t j) {
+        const SphereConstants<Real> &own = scene.spheres[x.sphere];
         const SphereConstants<Real> &other = scene.spheres[j];
-        return (x.offset + difference(scene.spheres[x.sphere].center, other.center)) * broadcast(other.inverse_scale);
+        Vec between;
+        if (own.from_others) [[likely]] {
+            between = broadcast(own.from_others + 3 * j);
+        } else {
+            between = {P(Real(own.center[0] - other.center[0])), P(Real(own.center[1] - other.center[1])),
+                       P(Real(own.center[2] - other.center[2]))};
+        }
+        return (x.offset + between) * broadcast(other.inverse_scale);
     }
 
     static WHITTED_INLINE P reach_squared(P distance_squared) {
@@ -173,7 +185,16 @@ struct Kernel {
             }
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
-            const Roots roots = intersect(o, distance_squared - P(one), d, reach_squared(distance_squared));
+            const P c = distance_squared - P(one);
+            if (scene.cuts) {
+                const P a = dot(d, d);
+                const P h = dot(o, d);
+                // From outside and away from it: both roots are below 0, or nothing. Or D is below 0 for certain.
+                const Lanes misses = ((h > P(zero)) & (c >= P(zero))) |
+                                     (h * h - a * c < -(P(doubt) * (P(one) + distance_squared) * a + P(underflow)));
+                if (!any(active & !misses)) continue;
+            }
+            const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
@@ -182,38 +203,69 @@ struct Kernel {
         return nearest;
     }
 
+    // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. side: of the light there, not 0.
+    static WHITTED_INLINE Lanes meets(Vec o, P distance_squared, P c, Vec d, P epsilon, int side) {
+        const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
+        // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it
+        // where their middle is, or both behind it.
+        return side < 0 ? roots.near_t > epsilon
+                        : roots.real & (roots.far_t > epsilon) & (roots.near_t + roots.far_t < P(Real(2)));
+    }
+
     // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
+    // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
     static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                       Vec to_light, Lanes asked) {
+                                       Vec to_light, Vec own_d, P n_d, Lanes asked) {
+        const SphereConstants<Real> &own = scene.spheres[x.sphere];
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+        // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
+        if (own.light_sides[light] > 0) {
+            const P m = P(Real(-2)) * n_d;
+            if (any(asked & (m > P(zero)))) {
+                found = m / dot(own_d, own_d) > epsilon;
+                if (!any(asked & !found)) return asked;
+            }
+        }
+        const Blockers blockers = own.blockers[light];
+        for (const std::int32_t *blocker = blockers.begin; blocker != blockers.end; ++blocker) {
+            const std::size_t j = static_cast<std::size_t>(*blocker);
+            if (j == x.sphere) continue;
             const SphereConstants<Real> &sphere = scene.spheres[j];
             const int side = sphere.light_sides[light];
             const Vec d = to_light * broadcast(sphere.inverse_scale);
-            if (j == x.sphere) {
-                // The roots are 0 and the other one, which is before the light where that is outside.
-                if (side <= 0) continue;
-                found = found | (P(Real(-2)) * dot(x.n, d) / dot(d, d) > epsilon);
+            const Vec o = seen_from(scene, x, j);
+            const P distance_squared = dot(o, o);
+            const P c = distance_squared - P(one);
+            if (side == 0) {
+                // The roots are 1, which does not hide, and, by their product c/a, the other one.
+                const P other = c / dot(d, d);
+                found = found | ((other > epsilon) & (other < P(one)));
+            } else if (!scene.cuts) {
+                found = found | meets(o, distance_squared, c, d, epsilon, side);
             } else {
-                const Vec o = seen_from(scene, x, j);
-                const P distance_squared = dot(o, o);
-                const P c = distance_squared - P(one);
-                if (side == 0) {
-                    // The roots are 1, which does not hide, and, by their product c/a, the other one.
-                    const P other = c / dot(d, d);
-                    found = found | ((other > epsilon) & (other < P(one)));
+                // What is certain without a division or a root: all but the rays near an outline.
+                const P g = -dot(o, d);
+                Lanes free, dark;
+                if (side > 0) {
+                    const P a = dot(d, d);
+                    const P slack = P(doubt) * (P(one) + distance_squared) * a + P(underflow);
+                    const P discriminant = g * g - a * c;  // a D
+                    const P before = g * (a - g);          // above 0: the middle of the roots, g/a, is before the light
+                    free = (discriminant < -slack) | ((before < -slack) & (c >= P(zero)));
+                    if (!any(asked & !(found | free))) continue;
+                    dark = (discriminant > slack) & (before > slack) & (g > a * P(scene.certain_epsilon));
                 } else {
-                    const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
-                    // The light is inside: the way there enters, unless it starts inside. It is outside: both roots
-                    // are before it where their middle is, or both behind it.
-                    found = found | (side < 0 ? roots.near_t > epsilon
-                                              : roots.real & (roots.far_t > epsilon) &
-                                                    (roots.near_t + roots.far_t < P(Real(2))));
+                    const P slack = P(doubt) * (P(one) + distance_squared);
+                    free = (c <= P(zero)) | (g < P(zero));
+                    if (!any(asked & !(found | free))) continue;
+                    dark = (c > slack) & (c > g * P(Real(2) * scene.certain_epsilon)) & (g > P(underflow));
                 }
+                found = found | dark;
+                if (any(asked & !(found | free))) found = found | meets(o, distance_squared, c, d, epsilon, side);
             }
-            if (!any(asked & !found)) break;
+            if (!any(asked & !found)) return asked;
         }
         return found & asked;
     }
@@ -243,7 +295,14 @@ struct Kernel {
         for (std::size_t light = 0; light < scene.light_count; ++light) {
             const bool contributes = sphere.lit && !scene.lights[light].dark;
             if (!contributes && !shadow_planes) continue;
-            const Vec to_light = difference(scene.lights[light].position, sphere.center) - x.offset;
+            const Vec to_light = broadcast(sphere.to_lights + 3 * light) - x.offset;
+            const Vec own_d = to_light * broadcast(sphere.inverse_scale);
+            const P n_d = dot(x.n, own_d);
+            if (scene.cuts && !shadow_planes) {
+                // n.d is N.L but for a positive factor, and the side that is seen.
+                const Lanes away = select(x.inside, n_d, -n_d) > P(sphere.least_facing[light]);
+                if (!any(lanes & !away)) continue;
+            }
             const P distance_squared = dot(to_light, to_light);
             const Lanes apart = distance_squared > P(zero);  // a light at x itself is visible and adds nothing
             const Vec L = to_light * (P(one) / sqrt(distance_squared));
@@ -254,7 +313,7 @@ struct Kernel {
                 if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
                 continue;
             }
-            const Lanes dark = hidden(scene, x, light, to_light, asked);
+            const Lanes dark = hidden(scene, x, light, to_light, own_d, n_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
             const Lanes bright = facing & !dark;
             if (!contributes || !any(bright)) continue;
@@ -279,15 +338,28 @@ struct Kernel {
         return select3(inside, -outward, outward);
     }
 
-    static void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, std::size_t at) {
-        const Planes<Real> &planes = span.planes;
+    // The byte of v is 255 v, clamped, its fraction cut off; NaN becomes 0.
+    static WHITTED_INLINE P byte(P v) {
+        return select(v > P(zero), select(v < P(one), v, P(one)), P(zero)) * P(Real(255));
+    }
+
+    // words: where not null, the beauty in 8 bits is all that is asked for.
+    template <bool only_words>
+    static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, std::size_t at,
+                                            std::int32_t *words) {
+        const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
         Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
-        Hit hit = first_hit(scene, direction);
+        Hit hit = first_hit(scene, span, span.column + static_cast<std::int64_t>(at), direction);
         const Lanes covered = hit.sphere >= P(zero);
 
         if (!any(covered)) {
             const Vec nothing = broadcast_zero();
-            store3(planes.beauty, at, broadcast(scene.background));
+            const Vec background = broadcast(scene.background);
+            if constexpr (only_words) {
+                store_words(words + at, byte(background.x), byte(background.y), byte(background.z));
+                return;
+            }
+            store3(planes.beauty, at, background);
             store3(planes.ambient, at, nothing);
             store3(planes.diffuse, at, nothing);
             store3(planes.specular, at, nothing);
@@ -355,8 +427,12 @@ struct Kernel {
         }
 
         const Vec direct = primary.diffuse + primary.specular;
-        const Vec beauty = (primary.ambient + direct) + reflected;
-        store3(planes.beauty, at, select3(covered, beauty, broadcast(scene.background)));
+        const Vec beauty = select3(covered, (primary.ambient + direct) + reflected, broadcast(scene.background));
+        if constexpr (only_words) {
+            store_words(words + at, byte(beauty.x), byte(beauty.y), byte(beauty.z));
+            return;
+        }
+        store3(planes.beauty, at, beauty);
         store3(planes.ambient, at, primary.ambient);
         store3(planes.diffuse, at, primary.diffuse);
         store3(planes.specular, at, primary.specular);
@@ -367,7 +443,13 @@ struct Kernel {
     }
 
     static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
-        for (std::size_t at = 0; at < span.count; at += Width) trace_packet(scene, span, at);
+        if (span.bytes) {
+            alignas(64) std::int32_t words[widest_span + widest_packet];
+            for (std::size_t at = 0; at < span.count; at += Width) trace_packet<true>(scene, span, at, words);
+            pack_words(span.bytes, words, span.count);
+        } else {
+            for (std::size_t at = 0; at < span.count; at += Width) trace_packet<false>(scene, span, at, nullptr);
+        }
     }
 };
 

@@ -24,6 +24,7 @@ struct Settings {
     Sample sample = Sample::corner;
     double shadow_epsilon = 1e-4;
     int max_reflections = 3;
+    bool cuts = true;  // leave out what cannot change a bit of the result; off only to test that
 };
 
 // More bounces than any mirror of Kr < 0.99 shows in float64.
