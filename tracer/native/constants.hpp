@@ -62,7 +62,8 @@ struct SceneConstants {
     Real shadow_epsilon;
     Real certain_epsilon;  // a little more: what is above it, is above shadow_epsilon whatever the rounding
     std::int32_t max_reflections;
-    bool cuts;  // leave out what cannot change the result
+    bool differences_kept;  // from_others is not null
+    bool cuts;              // leave out what cannot change the result
 };
 
 // Where a span's results go: a plane of at least `count` values each, null where a pass is not asked for. The planes of

@@ -46,6 +46,13 @@ struct Kernel {
     static WHITTED_INLINE Vec select3(Lanes yes, Vec a, Vec b) {
         return {select(yes, a.x, b.x), select(yes, a.y, b.y), select(yes, a.z, b.z)};
     }
+    static WHITTED_INLINE double least(P v) {
+        Real lanes[Width];
+        v.store(lanes);
+        Real found = lanes[0];
+        for (int k = 1; k < Width; ++k) found = lanes[k] < found ? lanes[k] : found;
+        return double(found);
+    }
     static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
 
     // The nearest hit of each lane's ray.
@@ -120,26 +127,149 @@ struct Kernel {
         roots.far_t = select(on & !inwards, P(one), roots.far_t);
     }
 
-    // Primary rays: the smallest t > 1; of equal ones the first in the file.
-    static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, const Span<Real> &span, std::int64_t column,
-                                        Vec direction) {
-        Hit nearest = no_hit();
-        for (std::size_t k = 0; k < span.outline_count; ++k) {
-            const Outline &outline = span.outlines[k];
-            if (outline.begin >= column + Width || outline.end <= column) continue;
-            const SphereConstants<Real> &sphere = scene.spheres[outline.sphere];
-            const Vec d = direction * broadcast(sphere.inverse_scale);
-            Roots roots =
-                intersect(broadcast(sphere.eye), P(sphere.eye_power), d, reach_squared(P(sphere.eye_distance_squared)));
-            if (!any(roots.real)) continue;
-            if (sphere.meets_plane) [[unlikely]]
-                settle_plane(sphere, d, roots);
-            const Lanes far = !(roots.near_t > P(one));
-            const P t = select(far, roots.far_t, roots.near_t);
-            const Lanes hit = roots.real & (t > P(one)) & (t < nearest.t);
-            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(outline.sphere)), unit_point(roots, d, far), far);
+    // The primary hits of a span: planes as of Hit.
+    struct Hits {
+        static constexpr std::size_t size = widest_span + widest_packet;
+        alignas(64) Real sphere[size];
+        alignas(64) Real t[size];
+        alignas(64) Real x[size];
+        alignas(64) Real y[size];
+        alignas(64) Real z[size];
+        alignas(64) Real inside[size];  // 1 or 0
+
+        WHITTED_INLINE Vec point(std::size_t at) const { return {P::load(x + at), P::load(y + at), P::load(z + at)}; }
+        WHITTED_INLINE Hit load(std::size_t at) const {
+            return {P::load(sphere + at), P::load(t + at), point(at), P::load(inside + at) > P(zero)};
         }
-        return nearest;
+    };
+
+    // The packets of a span that an outline reaches into.
+    struct Reach {
+        std::size_t begin, end;  // places in the span, multiples of Width from the first on
+    };
+    static WHITTED_INLINE Reach reach(const Outline &outline, const Span<Real> &span) {
+        const std::int64_t begin = outline.begin - span.column;
+        const std::int64_t end = outline.end - span.column;
+        const std::int64_t count = static_cast<std::int64_t>(span.count);
+        return {begin <= 0 ? 0 : static_cast<std::size_t>(begin) / Width * Width,
+                end <= 0 ? 0 : static_cast<std::size_t>(end < count ? end : count)};
+    }
+
+    // Primary rays: the smallest t > 1; of equal ones the first in the file.
+    static WHITTED_INLINE void first_hits(const SceneConstants<Real> &scene, const Span<Real> &span, Hits &hits) {
+        for (std::size_t at = 0; at < span.count; at += Width) {
+            P(-one).store(hits.sphere + at);
+            P(Real(__builtin_inf())).store(hits.t + at);
+            P(zero).store(hits.x + at);
+            P(zero).store(hits.y + at);
+            P(zero).store(hits.z + at);
+            P(zero).store(hits.inside + at);
+        }
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const Reach part = reach(span.outlines[k], span);
+            const SphereConstants<Real> &sphere = scene.spheres[span.outlines[k].sphere];
+            const P place = Real(span.outlines[k].sphere);
+            const Vec inverse_scale = broadcast(sphere.inverse_scale);
+            const Vec eye = broadcast(sphere.eye);
+            const P c(sphere.eye_power);
+            const P squared_reach = reach_squared(P(sphere.eye_distance_squared));
+            const P d_y = P(span.direction_y) * inverse_scale.y;
+            const P d_z = P(span.direction_z) * inverse_scale.z;
+            for (std::size_t at = part.begin; at < part.end; at += Width) {
+                const Vec d{P::load(span.direction_x + at) * inverse_scale.x, d_y, d_z};
+                Roots roots = intersect(eye, c, d, squared_reach);
+                if (!any(roots.real)) continue;
+                if (sphere.meets_plane) [[unlikely]]
+                    settle_plane(sphere, d, roots);
+                const Lanes far = !(roots.near_t > P(one));
+                const P t = select(far, roots.far_t, roots.near_t);
+                const P nearest_t = P::load(hits.t + at);
+                const Lanes hit = roots.real & (t > P(one)) & (t < nearest_t);
+                const Vec n = unit_point(roots, d, far);
+                const Vec nearest_n = hits.point(at);
+                select(hit, place, P::load(hits.sphere + at)).store(hits.sphere + at);
+                select(hit, t, nearest_t).store(hits.t + at);
+                select(hit, n.x, nearest_n.x).store(hits.x + at);
+                select(hit, n.y, nearest_n.y).store(hits.y + at);
+                select(hit, n.z, nearest_n.z).store(hits.z + at);
+                select(hit, select(far, P(one), P(zero)), P::load(hits.inside + at)).store(hits.inside + at);
+            }
+        }
+    }
+
+    // What can stand between the hits of a span on one sphere and the lights, one list a light.
+    struct SpanBlockers {
+        static constexpr std::size_t most_lists = 64;
+        static constexpr std::size_t most = 512;
+        Blockers lists[most_lists];
+        std::int32_t spheres[most];
+    };
+
+    // Leaves out of the scene's lists what no segment from these hits to the light comes near. In the unit space of
+    // sphere j the hits are in a ball about the middle of their box; the distance of j's centre from the segment that
+    // starts there is more than the ball's radius and 1, and the roundings of what is computed on that way.
+    static WHITTED_INLINE void find_blockers(const SceneConstants<Real> &scene, const Span<Real> &span,
+                                             const Hits &hits, SpanBlockers &found) {
+        std::size_t used = 0;
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const SphereConstants<Real> &own = scene.spheres[span.outlines[k].sphere];
+            Blockers *lists = found.lists + k * scene.light_count;
+            std::size_t listed = 0;
+            for (std::size_t light = 0; light < scene.light_count; ++light) {
+                lists[light] = own.blockers[light];
+                listed += static_cast<std::size_t>(lists[light].end - lists[light].begin);
+            }
+            if (listed == 0 || !own.lit || used + listed > SpanBlockers::most) continue;
+
+            const Reach part = reach(span.outlines[k], span);
+            const P place = Real(span.outlines[k].sphere);
+            const P infinity = Real(__builtin_inf());
+            Vec low{infinity, infinity, infinity};
+            Vec high{-infinity, -infinity, -infinity};
+            for (std::size_t at = part.begin; at < part.end; at += Width) {
+                const Lanes lanes = P::load(hits.sphere + at) == place;
+                const Vec n = hits.point(at);
+                low = {minimum(select(lanes, n.x, infinity), low.x), minimum(select(lanes, n.y, infinity), low.y),
+                       minimum(select(lanes, n.z, infinity), low.z)};
+                high = {maximum(select(lanes, n.x, -infinity), high.x), maximum(select(lanes, n.y, -infinity), high.y),
+                        maximum(select(lanes, n.z, -infinity), high.z)};
+            }
+            const double lows[3] = {least(low.x), least(low.y), least(low.z)};
+            const double highs[3] = {-least(-high.x), -least(-high.y), -least(-high.z)};
+            if (!(lows[0] <= highs[0])) continue;  // all hits are on others
+            double middle[3], half[3];
+            for (int c = 0; c < 3; ++c) {
+                middle[c] = 0.5 * (lows[c] + highs[c]) * double(own.scale[c]);
+                half[c] = 0.5 * (highs[c] - lows[c]) * double(own.scale[c]);
+            }
+            for (std::size_t light = 0; light < scene.light_count; ++light) {
+                std::int32_t *const begin = found.spheres + used;
+                std::int32_t *end = begin;
+                for (const std::int32_t *blocker = lists[light].begin; blocker != lists[light].end; ++blocker) {
+                    const SphereConstants<Real> &other = scene.spheres[*blocker];
+                    const Real *const between = own.from_others + 3 * static_cast<std::size_t>(*blocker);
+                    const Real *const to_light = own.to_lights + 3 * light;
+                    double a = 0, h = 0, start = 0, radius = 0;
+                    for (int c = 0; c < 3; ++c) {
+                        const double inverse = double(other.inverse_scale[c]);
+                        const double o = (middle[c] + double(between[c])) * inverse;
+                        const double d = (double(to_light[c]) - middle[c]) * inverse;
+                        const double r = half[c] * inverse;
+                        a += d * d;
+                        h += o * d;
+                        start += o * o;
+                        radius += r * r;
+                    }
+                    const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
+                    const double distance = start + t * (2 * h + t * a);
+                    const double doubts = 8 * double(doubt) * (1 + start + radius + a);
+                    const double apart = 1 + doubts + __builtin_sqrt(radius);
+                    if (!(other.light_sides[light] > 0 && distance > apart * apart)) *end++ = *blocker;
+                }
+                lists[light] = {begin, end};
+                used += static_cast<std::size_t>(end - begin);
+            }
+        }
     }
 
     // A point on sphere i: n in its unit space, offset = |s_i| n from its centre in the world.
@@ -169,9 +299,10 @@ struct Kernel {
                        P(widest_touch * widest_touch));
     }
 
-    // Reflected rays: on the sphere they start from only the other root, which the outside never meets.
+    // Reflected rays: on the sphere they start from only the other root, which the outside never meets. met: a bit for
+    // each sphere that is hit, its place modulo 64.
     static WHITTED_INLINE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
-                                       Lanes active) {
+                                       Lanes active, std::uint64_t &met) {
         Hit nearest = no_hit();
         for (std::size_t j = 0; j < scene.sphere_count; ++j) {
             const Vec d = direction * broadcast(scene.spheres[j].inverse_scale);
@@ -180,6 +311,7 @@ struct Kernel {
                 if (!any(crosses)) continue;
                 const P t = P(Real(-2)) * dot(x.n, d) / dot(d, d);
                 const Lanes hit = crosses & (t > P(zero)) & (t < nearest.t);
+                met |= std::uint64_t{1} << (j % 64);
                 keep_nearer(nearest, hit, t, P(Real(j)), x.n + d * t, Lanes::all());
                 continue;
             }
@@ -198,7 +330,9 @@ struct Kernel {
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
-            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+            if (!any(hit)) continue;
+            keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+            met |= std::uint64_t{1} << (j % 64);
         }
         return nearest;
     }
@@ -216,7 +350,7 @@ struct Kernel {
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
     // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
     static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                       Vec to_light, Vec own_d, P n_d, Lanes asked) {
+                                       Blockers blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
         const SphereConstants<Real> &own = scene.spheres[x.sphere];
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
@@ -228,7 +362,6 @@ struct Kernel {
                 if (!any(asked & !found)) return asked;
             }
         }
-        const Blockers blockers = own.blockers[light];
         for (const std::int32_t *blocker = blockers.begin; blocker != blockers.end; ++blocker) {
             const std::size_t j = static_cast<std::size_t>(*blocker);
             if (j == x.sphere) continue;
@@ -287,7 +420,8 @@ struct Kernel {
 
     // The terms of the specification at the hits on one sphere. N is the shading normal.
     static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      Lanes lanes, Real *const *shadow_planes, std::size_t at) {
+                                      Lanes lanes, const Blockers *blockers, Real *const *shadow_planes,
+                                      std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
@@ -313,7 +447,7 @@ struct Kernel {
                 if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
                 continue;
             }
-            const Lanes dark = hidden(scene, x, light, to_light, own_d, n_d, asked);
+            const Lanes dark = hidden(scene, x, light, blockers[light], to_light, own_d, n_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
             const Lanes bright = facing & !dark;
             if (!contributes || !any(bright)) continue;
@@ -343,13 +477,13 @@ struct Kernel {
         return select(v > P(zero), select(v < P(one), v, P(one)), P(zero)) * P(Real(255));
     }
 
-    // words: where not null, the beauty in 8 bits is all that is asked for.
+    // words: where the beauty in 8 bits is all that is asked for. span_blockers: null where there are too many lists.
     template <bool only_words>
-    static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, std::size_t at,
-                                            std::int32_t *words) {
+    static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                            const SpanBlockers *span_blockers, std::size_t at, std::int32_t *words) {
         const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
         Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
-        Hit hit = first_hit(scene, span, span.column + static_cast<std::int64_t>(at), direction);
+        Hit hit = hits.load(at);
         const Lanes covered = hit.sphere >= P(zero);
 
         if (!any(covered)) {
@@ -382,19 +516,35 @@ struct Kernel {
         Vec reflected = broadcast_zero();
         P weight(one);
         Lanes active = covered;
+        std::uint64_t met = 0;
         for (std::int32_t bounce = 0;; ++bounce) {
             Hit next = no_hit();
             Vec next_direction = direction;
             P next_weight = weight;
             Lanes next_active = Lanes::none();
+            std::uint64_t next_met = 0;
             Vec order = broadcast_zero();
-            for (std::size_t i = 0; i < scene.sphere_count; ++i) {
+            // At first the spheres whose outlines are here, then those that were met.
+            const std::int64_t column = span.column + static_cast<std::int64_t>(at);
+            const std::size_t choices = bounce == 0 ? span.outline_count : scene.sphere_count;
+            for (std::size_t k = 0; k < choices; ++k) {
+                std::size_t i = k;
+                if (bounce == 0) {
+                    const Outline &outline = span.outlines[k];
+                    if (outline.begin >= column + Width || outline.end <= column) continue;
+                    i = static_cast<std::size_t>(outline.sphere);
+                } else if (!(met >> (i % 64) & 1)) {
+                    continue;
+                }
                 const Lanes lanes = active & (hit.sphere == P(Real(i)));
                 if (!any(lanes)) continue;
                 const SphereConstants<Real> &sphere = scene.spheres[i];
                 const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
                 const Vec N = shading_normal(sphere, hit.n, hit.inside);
-                const Local local = shade(scene, x, N, direction, lanes, bounce == 0 ? planes.shadow : nullptr, at);
+                const Blockers *blockers =
+                    bounce == 0 && span_blockers ? span_blockers->lists + k * scene.light_count : sphere.blockers;
+                const Local local =
+                    shade(scene, x, N, direction, lanes, blockers, bounce == 0 ? planes.shadow : nullptr, at);
                 if (bounce == 0) {
                     primary.ambient = select3(lanes, local.ambient, primary.ambient);
                     primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
@@ -407,7 +557,7 @@ struct Kernel {
                 if (bounce == scene.max_reflections || !(sphere.reflection > zero)) continue;
                 // d - 2 (d.N) N
                 const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
-                const Hit found = next_hit(scene, x, mirrored, lanes);
+                const Hit found = next_hit(scene, x, mirrored, lanes, next_met);
                 const Lanes goes_on = lanes & (found.sphere >= P(zero));
                 if (!any(goes_on)) continue;
                 keep_nearer(next, goes_on, found.t, found.sphere, found.n, found.inside);
@@ -424,6 +574,7 @@ struct Kernel {
             direction = next_direction;
             weight = next_weight;
             active = next_active;
+            met = next_met;
         }
 
         const Vec direct = primary.diffuse + primary.specular;
@@ -443,12 +594,23 @@ struct Kernel {
     }
 
     static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
+        Hits hits;
+        first_hits(scene, span, hits);
+        SpanBlockers lists;
+        const SpanBlockers *blockers = nullptr;
+        if (scene.cuts && span.outline_count * scene.light_count <= SpanBlockers::most_lists &&
+            scene.differences_kept) {
+            find_blockers(scene, span, hits, lists);
+            blockers = &lists;
+        }
         if (span.bytes) {
             alignas(64) std::int32_t words[widest_span + widest_packet];
-            for (std::size_t at = 0; at < span.count; at += Width) trace_packet<true>(scene, span, at, words);
+            for (std::size_t at = 0; at < span.count; at += Width)
+                trace_packet<true>(scene, span, hits, blockers, at, words);
             pack_words(span.bytes, words, span.count);
         } else {
-            for (std::size_t at = 0; at < span.count; at += Width) trace_packet<false>(scene, span, at, nullptr);
+            for (std::size_t at = 0; at < span.count; at += Width)
+                trace_packet<false>(scene, span, hits, blockers, at, nullptr);
         }
     }
 };

@@ -29,6 +29,8 @@ constexpr std::int64_t span_columns = widest_span;
 static_assert(widest_span % widest_packet == 0);
 // What a thread takes at a time: long enough to make the taking cheap, short enough to share the work evenly.
 constexpr std::int64_t piece = 8192;
+// How often a thread asks whether to go on.
+constexpr std::int64_t pixels_to_report = 2048;
 // Below this many pixels a second thread costs more than it saves.
 constexpr std::int64_t pixels_for_a_thread = 16384;
 // Up to here the places of all columns are kept; up to here what concerns two spheres and a light, too.
@@ -275,6 +277,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             spheres.push_back(to);
         }
         find_blockers(from, distinct);
+        scene.differences_kept = distinct.size() <= most_spheres_kept;
         scene.spheres = spheres.data();
         scene.lights = lights.data();
         scene.sphere_count = spheres.size();
@@ -500,7 +503,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
 
     // Traces pixels of one row that begins with pixel `row`, counted from the targets' first; y is its height.
     void trace_run(std::int64_t row, Real y, std::int64_t begin, std::int64_t end, Buffer &buffer,
-                   const std::vector<Target> &targets, const GoOn &go_on, bool &stopped) const {
+                   const std::vector<Target> &targets, std::int64_t &finished, const GoOn &go_on, bool &stopped) const {
         for (std::int64_t column = begin; column < end && !stopped; column += span_columns) {
             const std::int64_t count = std::min(span_columns, end - column);
             const Real *directions = columns.data() + column;
@@ -527,7 +530,10 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 trace(scene, span);
                 for (const Target &target : targets) deliver(target, buffer.planes_of(target), row + column, count);
             }
-            stopped = !go_on(count);
+            finished += count;
+            if (finished < pixels_to_report) continue;
+            stopped = !go_on(finished);
+            finished = 0;
         }
     }
 
@@ -535,6 +541,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 const GoOn &go_on) const override {
         Buffer buffer(targets, scene.light_count, settings.max_reflections);
         bool stopped = false;
+        std::int64_t finished = 0;  // and not yet reported: that costs as much as some packets
         for (std::int64_t pixel = begin; pixel < end && !stopped;) {
             const std::int64_t row = pixel / view.columns;
             const std::int64_t from = pixel % view.columns;
@@ -552,18 +559,19 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 const std::int64_t run = next < buffer.runs.size() ? buffer.runs[next].first : to;
                 if (run > column) {
                     for (const Target &target : targets) fill(target, start + column, run - column);
-                    stopped = !go_on(run - column);
+                    finished += run - column;
                     column = run;
                     continue;
                 }
                 std::int64_t run_end = run;
                 for (; next < buffer.runs.size() && buffer.runs[next].first <= run_end; ++next)
                     run_end = std::max(run_end, buffer.runs[next].second);
-                trace_run(start, y, column, run_end, buffer, targets, go_on, stopped);
+                trace_run(start, y, column, run_end, buffer, targets, finished, go_on, stopped);
                 column = run_end;
             }
             pixel += to - from;
         }
+        go_on(finished);
     }
 };
 

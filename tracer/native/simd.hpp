@@ -172,7 +172,18 @@ struct Packet {
             return {a.v <= b.v};
     }
     friend WHITTED_INLINE Lanes operator>=(Packet a, Packet b) { return b <= a; }
-    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) { return (a <= b) & (b <= a); }
+    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) {
+#if defined(__AVX512F__)
+        if constexpr (has_mask_register<Real, Width>) {
+            if constexpr (sizeof(Real) == 8) {
+                return {_mm512_cmp_pd_mask(a.v, b.v, _CMP_EQ_OQ)};
+            } else {
+                return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_EQ_OQ)};
+            }
+        } else
+#endif
+            return {a.v == b.v};
+    }
 
   private:
     WHITTED_INLINE static Native broadcast(Real x) {
