@@ -13,6 +13,18 @@ struct Blockers {
     const std::int32_t *end;
 };
 
+// A light, as a sphere sees it.
+template <class Real>
+struct Lamp {
+    Real place[3];      // its place minus the sphere's p
+    Real diffuse[3];    // Kd Ip
+    Real specular[3];   // Ks Ip
+    Real least_facing;  // n.d below minus this says for certain that N.L < 0
+    Blockers blockers;  // what can stand between it and the sphere
+    std::int32_t side;  // -1 inside the sphere, 0 on it, 1 outside, exactly
+    bool adds;          // whether it lights the sphere at all
+};
+
 // The columns of a row, begin .. end - 1, outside of which no ray meets a sphere.
 struct Outline {
     std::int32_t sphere;  // its place among the existing spheres
@@ -23,47 +35,40 @@ struct Outline {
 // One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
 template <class Real>
 struct SphereConstants {
-    double center[3];                // p
-    Real scale[3];                   // |s|
-    Real inverse_scale[3];           // 1 / |s|
-    Real eye[3];                     // the eye in the sphere's unit space: -p / |s|
-    Real eye_power;                  // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real eye_distance_squared;       // |eye|^2
-    bool meets_plane;                // whether it reaches the image plane z = -near, where primary rays begin to count
-    Real plane_reach[3];             // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
-    Real ambient[3];                 // Ka Ia O
-    Real color[3];                   // O
-    Real reflection;                 // Kr
-    Real exponent;                   // n
-    std::int32_t integer;            // n where it is an integer that is multiplied out, else -1
-    std::int32_t index;              // in the scene, what the pass `id` shows
-    bool lit;                        // Kd or Ks is not 0
-    bool specular;                   // Ks is not 0
-    const Real *light_terms;         // a light's Kd Ip (three) and Ks Ip (three), one light after the other
-    const std::int8_t *light_sides;  // of each light: -1 inside this sphere, 0 on it, 1 outside, exactly
-    const Real *to_lights;           // of each light: its place minus p
-    const Real *from_others;         // of each sphere: p minus its centre; null where there are too many
-    const Real *least_facing;        // of each light: below minus this, n.d says for certain that N.L < 0
-    const Blockers *blockers;        // of each light: what can stand between this sphere and it
-};
-
-template <class Real>
-struct LightConstants {
-    bool dark;  // all intensities are 0
+    double center[3];           // p
+    Real scale[3];              // |s|
+    Real inverse_scale[3];      // 1 / |s|
+    Real eye[3];                // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;             // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real eye_distance_squared;  // |eye|^2
+    bool meets_plane;           // whether it reaches the image plane z = -near, where primary rays begin to count
+    Real plane_reach[3];        // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
+    Real ambient[3];            // Ka Ia O
+    Real color[3];              // O
+    Real reflection;            // Kr
+    Real exponent;              // n
+    std::int32_t integer;       // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;         // in the scene, what the pass `id` shows
+    bool lit;                   // Kd or Ks is not 0
+    bool specular;              // Ks is not 0
+    const Real *from_others;    // of each sphere: p minus its centre; null where there are too many
+    const Lamp<Real> *lamps;    // one a light
 };
 
 template <class Real>
 struct SceneConstants {
     const SphereConstants<Real> *spheres;
-    const LightConstants<Real> *lights;
+
     std::size_t sphere_count;
     std::size_t light_count;
     Real background[3];
     Real shadow_epsilon;
     Real certain_epsilon;  // a little more: what is above it, is above shadow_epsilon whatever the rounding
     std::int32_t max_reflections;
-    bool differences_kept;  // from_others is not null
-    bool cuts;              // leave out what cannot change the result
+    // A bound above all roundings of D a = h^2 - a c, in units of a (1 + |o|^2), touching() included: what is decided
+    // beyond it needs no division and no root. Infinite where nothing is to be cut.
+    Real doubt;
+    bool span_blockers;  // seek what hides lights span by span: the lists are short enough, and from_others is there
 };
 
 // Where a span's results go: a plane of at least `count` values each, null where a pass is not asked for. The planes of

@@ -28,9 +28,7 @@ struct Kernel {
     static constexpr Real touch_reach = 64 * unit_roundoff;
     // Beyond this the digits of D are lost anyway; without it a far, small sphere would grow without end.
     static constexpr Real widest_touch = Real(0.5);
-    // A bound above all roundings of D a = h^2 - a c, in units of a (1 + |o|^2), touching() included; and what stays
-    // far above all that underflows. Both are generous: between the bounds the full arithmetic decides.
-    static constexpr Real doubt = 256 * unit_roundoff;
+    // Far above all that underflows where there is something to cut.
     static constexpr Real underflow = sizeof(Real) == 8 ? Real(1e-200) : Real(1e-30f);
 
     struct Vec {
@@ -216,7 +214,7 @@ struct Kernel {
             Blockers *lists = found.lists + k * scene.light_count;
             std::size_t listed = 0;
             for (std::size_t light = 0; light < scene.light_count; ++light) {
-                lists[light] = own.blockers[light];
+                lists[light] = own.lamps[light].blockers;
                 listed += static_cast<std::size_t>(lists[light].end - lists[light].begin);
             }
             if (listed == 0 || !own.lit || used + listed > SpanBlockers::most) continue;
@@ -248,7 +246,7 @@ struct Kernel {
                 for (const std::int32_t *blocker = lists[light].begin; blocker != lists[light].end; ++blocker) {
                     const SphereConstants<Real> &other = scene.spheres[*blocker];
                     const Real *const between = own.from_others + 3 * static_cast<std::size_t>(*blocker);
-                    const Real *const to_light = own.to_lights + 3 * light;
+                    const Real *const to_light = own.lamps[light].place;
                     double a = 0, h = 0, start = 0, radius = 0;
                     for (int c = 0; c < 3; ++c) {
                         const double inverse = double(other.inverse_scale[c]);
@@ -262,9 +260,9 @@ struct Kernel {
                     }
                     const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
                     const double distance = start + t * (2 * h + t * a);
-                    const double doubts = 8 * double(doubt) * (1 + start + radius + a);
+                    const double doubts = 8 * double(scene.doubt) * (1 + start + radius + a);
                     const double apart = 1 + doubts + __builtin_sqrt(radius);
-                    if (!(other.light_sides[light] > 0 && distance > apart * apart)) *end++ = *blocker;
+                    if (!(other.lamps[light].side > 0 && distance > apart * apart)) *end++ = *blocker;
                 }
                 lists[light] = {begin, end};
                 used += static_cast<std::size_t>(end - begin);
@@ -318,12 +316,13 @@ struct Kernel {
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
             const P c = distance_squared - P(one);
-            if (scene.cuts) {
+            {
                 const P a = dot(d, d);
                 const P h = dot(o, d);
                 // From outside and away from it: both roots are below 0, or nothing. Or D is below 0 for certain.
-                const Lanes misses = ((h > P(zero)) & (c >= P(zero))) |
-                                     (h * h - a * c < -(P(doubt) * (P(one) + distance_squared) * a + P(underflow)));
+                const Lanes misses =
+                    ((h > P(zero)) & (c >= P(zero))) |
+                    (h * h - a * c < -(P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow)));
                 if (!any(active & !misses)) continue;
             }
             const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
@@ -351,11 +350,10 @@ struct Kernel {
     // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
     static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
                                        Blockers blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
-        const SphereConstants<Real> &own = scene.spheres[x.sphere];
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
         // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
-        if (own.light_sides[light] > 0) {
+        if (scene.spheres[x.sphere].lamps[light].side > 0) {
             const P m = P(Real(-2)) * n_d;
             if (any(asked & (m > P(zero)))) {
                 found = m / dot(own_d, own_d) > epsilon;
@@ -366,7 +364,7 @@ struct Kernel {
             const std::size_t j = static_cast<std::size_t>(*blocker);
             if (j == x.sphere) continue;
             const SphereConstants<Real> &sphere = scene.spheres[j];
-            const int side = sphere.light_sides[light];
+            const int side = sphere.lamps[light].side;
             const Vec d = to_light * broadcast(sphere.inverse_scale);
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
@@ -375,28 +373,27 @@ struct Kernel {
                 // The roots are 1, which does not hide, and, by their product c/a, the other one.
                 const P other = c / dot(d, d);
                 found = found | ((other > epsilon) & (other < P(one)));
-            } else if (!scene.cuts) {
-                found = found | meets(o, distance_squared, c, d, epsilon, side);
             } else {
                 // What is certain without a division or a root: all but the rays near an outline.
                 const P g = -dot(o, d);
                 Lanes free, dark;
                 if (side > 0) {
                     const P a = dot(d, d);
-                    const P slack = P(doubt) * (P(one) + distance_squared) * a + P(underflow);
+                    const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
                     const P discriminant = g * g - a * c;  // a D
                     const P before = g * (a - g);          // above 0: the middle of the roots, g/a, is before the light
                     free = (discriminant < -slack) | ((before < -slack) & (c >= P(zero)));
                     if (!any(asked & !(found | free))) continue;
                     dark = (discriminant > slack) & (before > slack) & (g > a * P(scene.certain_epsilon));
                 } else {
-                    const P slack = P(doubt) * (P(one) + distance_squared);
+                    const P slack = P(scene.doubt) * (P(one) + distance_squared);
                     free = (c <= P(zero)) | (g < P(zero));
                     if (!any(asked & !(found | free))) continue;
                     dark = (c > slack) & (c > g * P(Real(2) * scene.certain_epsilon)) & (g > P(underflow));
                 }
                 found = found | dark;
-                if (any(asked & !(found | free))) found = found | meets(o, distance_squared, c, d, epsilon, side);
+                if (any(asked & !(found | free))) [[unlikely]]
+                    found = found | meets(o, distance_squared, c, d, epsilon, side);
             }
             if (!any(asked & !found)) return asked;
         }
@@ -418,23 +415,24 @@ struct Kernel {
         Vec ambient, diffuse, specular;
     };
 
-    // The terms of the specification at the hits on one sphere. N is the shading normal.
+    // The terms of the specification at the hits on one sphere. N is the shading normal. lists: where not null, what
+    // can hide each light, in place of the scene's lists.
     static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      Lanes lanes, const Blockers *blockers, Real *const *shadow_planes,
-                                      std::size_t at) {
+                                      Lanes lanes, const Blockers *lists, Real *const *shadow_planes, std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
         const Vec V = sphere.specular ? -direction * (P(one) / sqrt(dot(direction, direction))) : broadcast_zero();
+        const P NV = dot(N, V);
         for (std::size_t light = 0; light < scene.light_count; ++light) {
-            const bool contributes = sphere.lit && !scene.lights[light].dark;
-            if (!contributes && !shadow_planes) continue;
-            const Vec to_light = broadcast(sphere.to_lights + 3 * light) - x.offset;
+            const Lamp<Real> &lamp = sphere.lamps[light];
+            if (!lamp.adds && !shadow_planes) continue;
+            const Vec to_light = broadcast(lamp.place) - x.offset;
             const Vec own_d = to_light * broadcast(sphere.inverse_scale);
             const P n_d = dot(x.n, own_d);
-            if (scene.cuts && !shadow_planes) {
+            if (!shadow_planes) {
                 // n.d is N.L but for a positive factor, and the side that is seen.
-                const Lanes away = select(x.inside, n_d, -n_d) > P(sphere.least_facing[light]);
+                const Lanes away = select(x.inside, n_d, -n_d) > P(lamp.least_facing);
                 if (!any(lanes & !away)) continue;
             }
             const P distance_squared = dot(to_light, to_light);
@@ -447,21 +445,21 @@ struct Kernel {
                 if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
                 continue;
             }
-            const Lanes dark = hidden(scene, x, light, blockers[light], to_light, own_d, n_d, asked);
+            const Lanes dark =
+                hidden(scene, x, light, lists ? lists[light] : lamp.blockers, to_light, own_d, n_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
             const Lanes bright = facing & !dark;
-            if (!contributes || !any(bright)) continue;
+            if (!lamp.adds || !any(bright)) continue;
 
-            const Real *terms = sphere.light_terms + 6 * light;
             const P cosine = select(bright, NL, P(zero));
-            local.diffuse = local.diffuse + broadcast(terms) * cosine * broadcast(sphere.color);
+            local.diffuse = local.diffuse + broadcast(lamp.diffuse) * cosine * broadcast(sphere.color);
             if (!sphere.specular) continue;
             // R = 2 (N.L) N - L; rounding alone brings R.V above 1.
-            const P RV = minimum(P(Real(2)) * NL * dot(N, V) - dot(L, V), P(one));
+            const P RV = minimum(P(Real(2)) * NL * NV - dot(L, V), P(one));
             const Lanes shiny = bright & (RV > P(zero));
             if (!any(shiny)) continue;
             const P highlight = select(shiny, power(RV, sphere.exponent, sphere.integer), P(zero));
-            local.specular = local.specular + broadcast(terms + 3) * highlight;
+            local.specular = local.specular + broadcast(lamp.specular) * highlight;
         }
         return local;
     }
@@ -477,140 +475,137 @@ struct Kernel {
         return select(v > P(zero), select(v < P(one), v, P(one)), P(zero)) * P(Real(255));
     }
 
-    // words: where the beauty in 8 bits is all that is asked for. span_blockers: null where there are too many lists.
+    // Rays on their way from mirror to mirror.
+    struct Chain {
+        Hit hit = no_hit();
+        Vec direction = broadcast_zero();
+        P weight = zero;  // product of the Kr's before the hit
+        Lanes active = Lanes::none();
+        std::uint64_t met = 0;  // a bit for each sphere that was hit, its place modulo 64
+    };
+
+    // Sends the rays of these lanes on from the mirror that x lies on, into `next`.
+    static WHITTED_INLINE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                       P weight, Lanes lanes, Chain &next) {
+        // d - 2 (d.N) N
+        const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
+        std::uint64_t met = 0;
+        const Hit found = next_hit(scene, x, mirrored, lanes, met);
+        const Lanes goes_on = lanes & (found.sphere >= P(zero));
+        if (!any(goes_on)) return;
+
+        keep_nearer(next.hit, goes_on, found.t, found.sphere, found.n, found.inside);
+        next.direction = select3(goes_on, mirrored, next.direction);
+        next.weight = select(goes_on, weight * P(scene.spheres[x.sphere].reflection), next.weight);
+        next.active = next.active | goes_on;
+        next.met |= met;
+    }
+
+    // What the mirrors show. orders: planes of the single reflections, or null.
+    static WHITTED_INLINE Vec reflections(const SceneConstants<Real> &scene, Chain chain, Real *const *orders,
+                                          std::size_t at) {
+        Vec reflected = broadcast_zero();
+        for (std::int32_t bounce = 1; chain.met; ++bounce) {
+            Chain next;
+            Vec order = broadcast_zero();
+            for (std::size_t i = 0; i < scene.sphere_count; ++i) {
+                if (!(chain.met >> (i % 64) & 1)) continue;
+                const Lanes lanes = chain.active & (chain.hit.sphere == P(Real(i)));
+                if (!any(lanes)) continue;
+                const SphereConstants<Real> &sphere = scene.spheres[i];
+                const SurfacePoint x{i, chain.hit.n, chain.hit.n * broadcast(sphere.scale), chain.hit.inside};
+                const Vec N = shading_normal(sphere, x.n, x.inside);
+                const Local local = shade(scene, x, N, chain.direction, lanes, nullptr, nullptr, at);
+                order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * chain.weight, order);
+                if (bounce < scene.max_reflections && sphere.reflection > zero)
+                    reflect(scene, x, N, chain.direction, chain.weight, lanes, next);
+            }
+            reflected = reflected + order;
+            if (orders) store3(orders + 3 * (bounce - 1), at, order);
+            chain = next;
+        }
+        return reflected;
+    }
+
+    // words: where the beauty in 8 bits is all that is asked for. lists: of each outline, what can hide each light;
+    // null: the scene's lists.
     template <bool only_words>
     static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
-                                            const SpanBlockers *span_blockers, std::size_t at, std::int32_t *words) {
+                                            const Blockers *lists, std::size_t at, std::int32_t *words) {
         const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
-        Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
-        Hit hit = hits.load(at);
+        const Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
+        const Hit hit = hits.load(at);
         const Lanes covered = hit.sphere >= P(zero);
-
-        if (!any(covered)) {
-            const Vec nothing = broadcast_zero();
-            const Vec background = broadcast(scene.background);
-            if constexpr (only_words) {
-                store_words(words + at, byte(background.x), byte(background.y), byte(background.z));
-                return;
-            }
-            store3(planes.beauty, at, background);
-            store3(planes.ambient, at, nothing);
-            store3(planes.diffuse, at, nothing);
-            store3(planes.specular, at, nothing);
-            store3(planes.direct, at, nothing);
-            store3(planes.reflection, at, nothing);
-            store3(planes.position, at, nothing);
-            store3(planes.normal, at, nothing);
-            if (planes.depth) P(Real(__builtin_inf())).store(planes.depth + at);
-            if (planes.id) P(-one).store(planes.id + at);
-            return;
+        if constexpr (!only_words) {
+            if (planes.depth)
+                select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf())))
+                    .store(planes.depth + at);
+            if (planes.position[0]) store3(planes.position, at, select3(covered, direction * hit.t, broadcast_zero()));
         }
 
-        if (planes.depth)
-            select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf()))).store(planes.depth + at);
-        if (planes.position[0]) store3(planes.position, at, select3(covered, direction * hit.t, broadcast_zero()));
-
+        Vec beauty = broadcast(scene.background);
         Local primary{broadcast_zero(), broadcast_zero(), broadcast_zero()};
         Vec normal = broadcast_zero();
         P id(-one);
-        Vec reflected = broadcast_zero();
-        P weight(one);
-        Lanes active = covered;
-        std::uint64_t met = 0;
-        for (std::int32_t bounce = 0;; ++bounce) {
-            Hit next = no_hit();
-            Vec next_direction = direction;
-            P next_weight = weight;
-            Lanes next_active = Lanes::none();
-            std::uint64_t next_met = 0;
-            Vec order = broadcast_zero();
-            // At first the spheres whose outlines are here, then those that were met.
-            const std::int64_t column = span.column + static_cast<std::int64_t>(at);
-            const std::size_t choices = bounce == 0 ? span.outline_count : scene.sphere_count;
-            for (std::size_t k = 0; k < choices; ++k) {
-                std::size_t i = k;
-                if (bounce == 0) {
-                    const Outline &outline = span.outlines[k];
-                    if (outline.begin >= column + Width || outline.end <= column) continue;
-                    i = static_cast<std::size_t>(outline.sphere);
-                } else if (!(met >> (i % 64) & 1)) {
-                    continue;
-                }
-                const Lanes lanes = active & (hit.sphere == P(Real(i)));
-                if (!any(lanes)) continue;
-                const SphereConstants<Real> &sphere = scene.spheres[i];
-                const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
-                const Vec N = shading_normal(sphere, hit.n, hit.inside);
-                const Blockers *blockers =
-                    bounce == 0 && span_blockers ? span_blockers->lists + k * scene.light_count : sphere.blockers;
-                const Local local =
-                    shade(scene, x, N, direction, lanes, blockers, bounce == 0 ? planes.shadow : nullptr, at);
-                if (bounce == 0) {
-                    primary.ambient = select3(lanes, local.ambient, primary.ambient);
-                    primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
-                    primary.specular = select3(lanes, local.specular, primary.specular);
-                    normal = select3(lanes, N, normal);
-                    id = select(lanes, P(Real(sphere.index)), id);
-                } else {
-                    order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * weight, order);
-                }
-                if (bounce == scene.max_reflections || !(sphere.reflection > zero)) continue;
-                // d - 2 (d.N) N
-                const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
-                const Hit found = next_hit(scene, x, mirrored, lanes, next_met);
-                const Lanes goes_on = lanes & (found.sphere >= P(zero));
-                if (!any(goes_on)) continue;
-                keep_nearer(next, goes_on, found.t, found.sphere, found.n, found.inside);
-                next_direction = select3(goes_on, mirrored, next_direction);
-                next_weight = select(goes_on, weight * P(sphere.reflection), next_weight);
-                next_active = next_active | goes_on;
+        Chain chain;
+        const std::int64_t column = span.column + static_cast<std::int64_t>(at);
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const Outline &outline = span.outlines[k];
+            if (outline.begin >= column + Width || outline.end <= column) continue;
+            const std::size_t i = static_cast<std::size_t>(outline.sphere);
+            const Lanes lanes = hit.sphere == P(Real(i));
+            if (!any(lanes)) continue;
+            const SphereConstants<Real> &sphere = scene.spheres[i];
+            const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
+            const Vec N = shading_normal(sphere, x.n, x.inside);
+            const Local local = shade(scene, x, N, direction, lanes, lists ? lists + k * scene.light_count : nullptr,
+                                      planes.shadow, at);
+            beauty = select3(lanes, local.ambient + (local.diffuse + local.specular), beauty);
+            if constexpr (!only_words) {
+                primary.ambient = select3(lanes, local.ambient, primary.ambient);
+                primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
+                primary.specular = select3(lanes, local.specular, primary.specular);
+                normal = select3(lanes, N, normal);
+                id = select(lanes, P(Real(sphere.index)), id);
             }
-            if (bounce > 0) {
-                reflected = reflected + order;
-                if (planes.reflection_order) store3(planes.reflection_order + 3 * (bounce - 1), at, order);
-            }
-            if (!any(next_active)) break;
-            hit = next;
-            direction = next_direction;
-            weight = next_weight;
-            active = next_active;
-            met = next_met;
+            if (scene.max_reflections > 0 && sphere.reflection > zero)
+                reflect(scene, x, N, direction, P(one), lanes, chain);
         }
+        Vec reflected = broadcast_zero();
+        if (chain.met) reflected = reflections(scene, chain, planes.reflection_order, at);
+        if (!only_words || chain.met) beauty = select3(covered, beauty + reflected, beauty);
 
-        const Vec direct = primary.diffuse + primary.specular;
-        const Vec beauty = select3(covered, (primary.ambient + direct) + reflected, broadcast(scene.background));
         if constexpr (only_words) {
             store_words(words + at, byte(beauty.x), byte(beauty.y), byte(beauty.z));
-            return;
+        } else {
+            store3(planes.beauty, at, beauty);
+            store3(planes.ambient, at, primary.ambient);
+            store3(planes.diffuse, at, primary.diffuse);
+            store3(planes.specular, at, primary.specular);
+            store3(planes.direct, at, primary.diffuse + primary.specular);
+            store3(planes.reflection, at, reflected);
+            store3(planes.normal, at, normal);
+            if (planes.id) id.store(planes.id + at);
         }
-        store3(planes.beauty, at, beauty);
-        store3(planes.ambient, at, primary.ambient);
-        store3(planes.diffuse, at, primary.diffuse);
-        store3(planes.specular, at, primary.specular);
-        store3(planes.direct, at, direct);
-        store3(planes.reflection, at, reflected);
-        store3(planes.normal, at, normal);
-        if (planes.id) id.store(planes.id + at);
     }
 
     static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
         Hits hits;
         first_hits(scene, span, hits);
-        SpanBlockers lists;
-        const SpanBlockers *blockers = nullptr;
-        if (scene.cuts && span.outline_count * scene.light_count <= SpanBlockers::most_lists &&
-            scene.differences_kept) {
-            find_blockers(scene, span, hits, lists);
-            blockers = &lists;
+        SpanBlockers found;
+        const Blockers *lists = nullptr;
+        if (scene.span_blockers && span.outline_count * scene.light_count <= SpanBlockers::most_lists) {
+            find_blockers(scene, span, hits, found);
+            lists = found.lists;
         }
         if (span.bytes) {
             alignas(64) std::int32_t words[widest_span + widest_packet];
             for (std::size_t at = 0; at < span.count; at += Width)
-                trace_packet<true>(scene, span, hits, blockers, at, words);
+                trace_packet<true>(scene, span, hits, lists, at, words);
             pack_words(span.bytes, words, span.count);
         } else {
             for (std::size_t at = 0; at < span.count; at += Width)
-                trace_packet<false>(scene, span, hits, blockers, at, nullptr);
+                trace_packet<false>(scene, span, hits, lists, at, nullptr);
         }
     }
 };

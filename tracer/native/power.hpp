@@ -91,9 +91,14 @@ template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> power(Packet<Real, Width> x, Real n, int integer) {
     using P = Packet<Real, Width>;
     if (integer >= 0) {
-        P result(Real(1));
-        for (P square = x; integer > 0; integer >>= 1, square = square * square)
+        if (integer == 0) return P(Real(1));
+        P square = x;
+        for (; !(integer & 1); integer >>= 1) square = square * square;
+        P result = square;
+        while (integer >>= 1) {
+            square = square * square;
             if (integer & 1) result = result * square;
+        }
         return result;
     }
     return exponential(P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest))));

@@ -194,14 +194,10 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     static constexpr double unit_roundoff = sizeof(Real) == 8 ? 0x1p-53 : 0x1p-24;
 
     std::vector<SphereConstants<Real>> spheres;
-    std::vector<LightConstants<Real>> lights;
-    std::vector<Real> light_terms;
-    std::vector<Real> to_lights;
-    std::vector<Real> least_facing;
+    std::vector<Lamp<Real>> lamps;
     std::vector<Real> from_others;
-    std::vector<std::int8_t> light_sides;
     std::vector<std::int32_t> blocking;
-    std::vector<Blockers> blockers;
+
     std::vector<Silhouette> silhouettes;  // empty: nothing is cut
     std::vector<Real> columns;            // x of each column, the last one again up to a packet; empty: too many
     std::uint8_t background8[3 * span_columns];
@@ -213,21 +209,13 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     PreparedFor(const Scene &from, const Settings &chosen, TraceSpan<Real> kernel) : trace(kernel) {
         view = from.view;
         settings = chosen;
-        scene.cuts = settings.cuts && can_cut(from, unit_roundoff);
+        const bool cuts = settings.cuts && can_cut(from, unit_roundoff);
         const std::vector<std::size_t> distinct = from.distinct();
         const std::size_t light_count = from.lights.size();
-        light_terms.reserve(distinct.size() * light_count * 6);
-        light_sides.reserve(distinct.size() * light_count);
-        to_lights.reserve(distinct.size() * light_count * 3);
-        least_facing.reserve(distinct.size() * light_count);
+        lamps.reserve(distinct.size() * light_count);
         spheres.reserve(distinct.size());
         if (distinct.size() <= most_spheres_kept) from_others.reserve(distinct.size() * distinct.size() * 3);
 
-        for (const Light &light : from.lights) {
-            LightConstants<Real> to{};
-            to.dark = light.intensity == Vec3{0, 0, 0};
-            lights.push_back(to);
-        }
         for (const std::size_t index : distinct) {
             const Sphere &sphere = from.spheres[index];
             SphereConstants<Real> to{};
@@ -254,18 +242,19 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             to.index = static_cast<std::int32_t>(index);
             to.lit = sphere.kd != 0 || sphere.ks != 0;
             to.specular = sphere.ks != 0;
-            to.light_terms = light_terms.data() + light_terms.size();
-            to.light_sides = light_sides.data() + light_sides.size();
-            to.to_lights = to_lights.data() + to_lights.size();
-            to.least_facing = least_facing.data() + least_facing.size();
+            to.lamps = lamps.data() + lamps.size();
             for (const Light &light : from.lights) {
-                for (const double k : {sphere.kd, sphere.ks})
-                    for (const double intensity : light.intensity)
-                        light_terms.push_back(static_cast<Real>(k * intensity));
-                light_sides.push_back(static_cast<std::int8_t>(light_side(sphere, light)));
-                for (std::size_t k = 0; k < 3; ++k)
-                    to_lights.push_back(static_cast<Real>(light.position[k] - sphere.position[k]));
-                least_facing.push_back(static_cast<Real>(facing_doubt(sphere, light)));
+                Lamp<Real> lamp{};
+                for (std::size_t k = 0; k < 3; ++k) {
+                    lamp.place[k] = static_cast<Real>(light.position[k] - sphere.position[k]);
+                    lamp.diffuse[k] = static_cast<Real>(sphere.kd * light.intensity[k]);
+                    lamp.specular[k] = static_cast<Real>(sphere.ks * light.intensity[k]);
+                }
+                lamp.least_facing =
+                    cuts ? static_cast<Real>(facing_doubt(sphere, light)) : std::numeric_limits<Real>::infinity();
+                lamp.side = light_side(sphere, light);
+                lamp.adds = to.lit && light.intensity != Vec3{0, 0, 0};
+                lamps.push_back(lamp);
             }
             if (distinct.size() <= most_spheres_kept) {
                 to.from_others = from_others.data() + from_others.size();
@@ -273,15 +262,16 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                     for (std::size_t k = 0; k < 3; ++k)
                         from_others.push_back(static_cast<Real>(sphere.position[k] - from.spheres[other].position[k]));
             }
-            if (scene.cuts) silhouettes.emplace_back(sphere, view, unit_roundoff);
+            if (cuts) silhouettes.emplace_back(sphere, view, unit_roundoff);
             spheres.push_back(to);
         }
-        find_blockers(from, distinct);
-        scene.differences_kept = distinct.size() <= most_spheres_kept;
+        find_blockers(from, distinct, cuts);
+        scene.doubt = cuts ? static_cast<Real>(256 * unit_roundoff) : std::numeric_limits<Real>::infinity();
+        scene.span_blockers = cuts && distinct.size() <= most_spheres_kept;
         scene.spheres = spheres.data();
-        scene.lights = lights.data();
+
         scene.sphere_count = spheres.size();
-        scene.light_count = lights.size();
+        scene.light_count = light_count;
         narrow(scene.background, from.background);
         scene.shadow_epsilon = static_cast<Real>(settings.shadow_epsilon);
         scene.certain_epsilon = static_cast<Real>(settings.shadow_epsilon * (1 + 64 * unit_roundoff));
@@ -311,10 +301,10 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         return 256 * unit_roundoff * reach * steepest;
     }
 
-    void find_blockers(const Scene &from, const std::vector<std::size_t> &distinct) {
+    void find_blockers(const Scene &from, const std::vector<std::size_t> &distinct, bool cuts) {
         const std::size_t count = distinct.size();
         const std::size_t light_count = from.lights.size();
-        const bool all = !scene.cuts || count * count * light_count > most_blockers_sought;
+        const bool all = !cuts || count * count * light_count > most_blockers_sought;
         std::vector<std::size_t> ends;
         if (all) {
             for (std::size_t j = 0; j < count; ++j) blocking.push_back(static_cast<std::int32_t>(j));
@@ -335,10 +325,9 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         std::size_t begin = 0;
         for (std::size_t k = 0; k < count * light_count; ++k) {
             const std::size_t end = all ? count : ends[k];
-            blockers.push_back({blocking.data() + begin, blocking.data() + end});
+            lamps[k].blockers = {blocking.data() + begin, blocking.data() + end};
             if (!all) begin = end;
         }
-        for (std::size_t i = 0; i < count; ++i) spheres[i].blockers = blockers.data() + i * light_count;
     }
 
     // How far from the surface, in units of its |s|, rays start: at the eye, or on a mirror.
@@ -370,7 +359,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         outlines.clear();
         for (std::size_t j = 0; j < spheres.size(); ++j) {
             Outline outline{static_cast<std::int32_t>(j), begin, end};
-            if (scene.cuts) {
+            if (!silhouettes.empty()) {
                 const Silhouette::Interval part = silhouettes[j].row(static_cast<double>(y));
                 if (part.is_empty()) continue;
                 const double scale = across.steps / (view.right - view.left);
