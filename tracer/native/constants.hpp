@@ -8,7 +8,7 @@
 namespace whitted {
 
 // Places of spheres among the existing ones.
-struct Blockers {
+struct SphereList {
     const std::int32_t *begin;
     const std::int32_t *end;
 };
@@ -16,13 +16,13 @@ struct Blockers {
 // A light, as a sphere sees it.
 template <class Real>
 struct Lamp {
-    Real place[3];      // its place minus the sphere's p
-    Real diffuse[3];    // Kd Ip
-    Real specular[3];   // Ks Ip
-    Real least_facing;  // n.d below minus this says for certain that N.L < 0
-    Blockers blockers;  // what can stand between it and the sphere
-    std::int32_t side;  // -1 inside the sphere, 0 on it, 1 outside, exactly
-    bool adds;          // whether it lights the sphere at all
+    Real place[3];        // its place minus the sphere's p
+    Real diffuse[3];      // Kd Ip
+    Real specular[3];     // Ks Ip
+    Real least_facing;    // n.d below minus this says for certain that N.L < 0
+    SphereList blockers;  // what can stand between it and the sphere
+    std::int32_t side;    // -1 inside the sphere, 0 on it, 1 outside, exactly
+    bool adds;            // whether it lights the sphere at all
 };
 
 // The columns of a row, begin .. end - 1, outside of which no ray meets a sphere.
@@ -68,7 +68,8 @@ struct SceneConstants {
     // A bound above all roundings of D a = h^2 - a c, in units of a (1 + |o|^2), touching() included: what is decided
     // beyond it needs no division and no root. Infinite where nothing is to be cut.
     Real doubt;
-    bool span_blockers;  // seek what hides lights span by span: the lists are short enough, and from_others is there
+    SphereList all;   // all spheres
+    bool span_lists;  // shorten the lists span by span; from_others is there
 };
 
 // Where a span's results go: a plane of at least `count` values each, null where a pass is not asked for. The planes of

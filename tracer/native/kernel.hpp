@@ -195,78 +195,141 @@ struct Kernel {
         }
     }
 
-    // What can stand between the hits of a span on one sphere and the lights, one list a light.
-    struct SpanBlockers {
+    // For each outline in a span: what can stand between its sphere's hits there and the lights, one list a light, and
+    // at the end a list of what their reflected rays can meet.
+    struct SpanLists {
         static constexpr std::size_t most_lists = 64;
         static constexpr std::size_t most = 512;
-        Blockers lists[most_lists];
+        SphereList lists[most_lists];
         std::int32_t spheres[most];
     };
 
-    // Leaves out of the scene's lists what no segment from these hits to the light comes near. In the unit space of
-    // sphere j the hits are in a ball about the middle of their box; the distance of j's centre from the segment that
-    // starts there is more than the ball's radius and 1, and the roundings of what is computed on that way.
-    static WHITTED_INLINE void find_blockers(const SceneConstants<Real> &scene, const Span<Real> &span,
-                                             const Hits &hits, SpanBlockers &found) {
+    // The box that the hits of a span on one sphere are in, in the sphere's unit space.
+    struct Box {
+        double low[3], high[3];
+        bool empty;   // all hits are on others
+        bool inside;  // some of them see the inside
+    };
+    static WHITTED_INLINE Box box(const Hits &hits, Reach part, P place) {
+        const P infinity = Real(__builtin_inf());
+        Vec low{infinity, infinity, infinity};
+        Vec high{-infinity, -infinity, -infinity};
+        Lanes inside = Lanes::none();
+        for (std::size_t at = part.begin; at < part.end; at += Width) {
+            const Hit hit = hits.load(at);
+            const Lanes lanes = hit.sphere == place;
+            inside = inside | (lanes & hit.inside);
+            low = {select(lanes & (hit.n.x < low.x), hit.n.x, low.x), select(lanes & (hit.n.y < low.y), hit.n.y, low.y),
+                   select(lanes & (hit.n.z < low.z), hit.n.z, low.z)};
+            high = {select(lanes & (high.x < hit.n.x), hit.n.x, high.x),
+                    select(lanes & (high.y < hit.n.y), hit.n.y, high.y),
+                    select(lanes & (high.z < hit.n.z), hit.n.z, high.z)};
+        }
+        const double least_x = least(low.x);
+        return {{least_x, least(low.y), least(low.z)},
+                {-least(-high.x), -least(-high.y), -least(-high.z)},
+                !(least_x < __builtin_inf()),
+                any(inside)};
+    }
+
+    // Whether no segment from a box on sphere `own` to the light comes near `other`. middle, half: of the box, from the
+    // sphere's centre in the world. In the unit space of `other` the box is in a ball about its middle: the distance of
+    // the origin from the segment that starts there is more than the ball's radius and 1, and all roundings.
+    static WHITTED_INLINE bool passes(const SceneConstants<Real> &scene, const Lamp<Real> &lamp, const Real *between,
+                                      const SphereConstants<Real> &other, const double *middle, const double *half) {
+        double a = 0, h = 0, start = 0, radius = 0;
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(other.inverse_scale[c]);
+            const double o = (middle[c] + double(between[c])) * inverse;
+            const double d = (double(lamp.place[c]) - middle[c]) * inverse;
+            const double r = half[c] * inverse;
+            a += d * d;
+            h += o * d;
+            start += o * o;
+            radius += r * r;
+        }
+        const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
+        const double distance = start + t * (2 * h + t * a);
+        const double apart = 1 + 8 * double(scene.doubt) * (1 + start + radius + a) + __builtin_sqrt(radius);
+        return distance > apart * apart;
+    }
+
+    // Whether `other` is below the tangent planes of sphere `own` at all points of a box, where no reflected ray goes:
+    // with the gradient g = n / s of a point n, g.(y - p) < n.n = 1 for all points y of the other, and all roundings.
+    static WHITTED_INLINE bool is_below(const SceneConstants<Real> &scene, const SphereConstants<Real> &own,
+                                        const Real *between, const SphereConstants<Real> &other, const Box &part) {
+        double along = 0, extent = 0, far = 1;
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(own.inverse_scale[c]);
+            const double to = -double(between[c]) * inverse;
+            along += to * (to > 0 ? part.high[c] : part.low[c]);
+            const double steepest = -part.low[c] > part.high[c] ? -part.low[c] : part.high[c];
+            const double size = double(other.scale[c]) * inverse;
+            extent += size * size * steepest * steepest;
+            far += to * to + size * size;
+        }
+        double start = 1;
+        double narrow = 0, wide = 0;  // the least and the largest 1/s: what an angle is worth in the unit space
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(own.inverse_scale[c]);
+            const double o = double(between[c]) * double(other.inverse_scale[c]);
+            const double r = double(own.scale[c]) * double(other.inverse_scale[c]);
+            start += 2 * o * o + 4 * r * r;
+            narrow = c == 0 || inverse < narrow ? inverse : narrow;
+            wide = inverse > wide ? inverse : wide;
+        }
+        const double grown = 1 + 8 * double(scene.doubt) * start;
+        // A ray that all but touches may leave below the tangent plane by its roundings.
+        const double doubts =
+            double(scene.doubt) * (1 + far) * (1 + double(own.eye_distance_squared)) * (wide / narrow);
+        return along + grown * __builtin_sqrt(extent) + doubts < 1;
+    }
+
+    static WHITTED_INLINE void find_lists(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                          SpanLists &found) {
         std::size_t used = 0;
         for (std::size_t k = 0; k < span.outline_count; ++k) {
-            const SphereConstants<Real> &own = scene.spheres[span.outlines[k].sphere];
-            Blockers *lists = found.lists + k * scene.light_count;
+            const std::int32_t i = span.outlines[k].sphere;
+            const SphereConstants<Real> &own = scene.spheres[i];
+            SphereList *lists = found.lists + k * (scene.light_count + 1);
             std::size_t listed = 0;
             for (std::size_t light = 0; light < scene.light_count; ++light) {
                 lists[light] = own.lamps[light].blockers;
-                listed += static_cast<std::size_t>(lists[light].end - lists[light].begin);
+                if (own.lamps[light].adds) listed += static_cast<std::size_t>(lists[light].end - lists[light].begin);
             }
-            if (listed == 0 || !own.lit || used + listed > SpanBlockers::most) continue;
-
-            const Reach part = reach(span.outlines[k], span);
-            const P place = Real(span.outlines[k].sphere);
-            const P infinity = Real(__builtin_inf());
-            Vec low{infinity, infinity, infinity};
-            Vec high{-infinity, -infinity, -infinity};
-            for (std::size_t at = part.begin; at < part.end; at += Width) {
-                const Lanes lanes = P::load(hits.sphere + at) == place;
-                const Vec n = hits.point(at);
-                low = {minimum(select(lanes, n.x, infinity), low.x), minimum(select(lanes, n.y, infinity), low.y),
-                       minimum(select(lanes, n.z, infinity), low.z)};
-                high = {maximum(select(lanes, n.x, -infinity), high.x), maximum(select(lanes, n.y, -infinity), high.y),
-                        maximum(select(lanes, n.z, -infinity), high.z)};
-            }
-            const double lows[3] = {least(low.x), least(low.y), least(low.z)};
-            const double highs[3] = {-least(-high.x), -least(-high.y), -least(-high.z)};
-            if (!(lows[0] <= highs[0])) continue;  // all hits are on others
+            lists[scene.light_count] = scene.all;
+            const bool mirror = own.reflection > zero && scene.max_reflections > 0;
+            if (mirror) listed += scene.sphere_count;
+            if (listed == 0 || used + listed > SpanLists::most) continue;
+            const Box part = box(hits, reach(span.outlines[k], span), P(Real(i)));
+            if (part.empty) continue;
             double middle[3], half[3];
             for (int c = 0; c < 3; ++c) {
-                middle[c] = 0.5 * (lows[c] + highs[c]) * double(own.scale[c]);
-                half[c] = 0.5 * (highs[c] - lows[c]) * double(own.scale[c]);
+                middle[c] = 0.5 * (part.low[c] + part.high[c]) * double(own.scale[c]);
+                half[c] = 0.5 * (part.high[c] - part.low[c]) * double(own.scale[c]);
             }
-            for (std::size_t light = 0; light < scene.light_count; ++light) {
+            // Those of `list` that stay go to the end of what is used.
+            const auto keep = [&](SphereList &list, auto goes) {
                 std::int32_t *const begin = found.spheres + used;
                 std::int32_t *end = begin;
-                for (const std::int32_t *blocker = lists[light].begin; blocker != lists[light].end; ++blocker) {
-                    const SphereConstants<Real> &other = scene.spheres[*blocker];
-                    const Real *const between = own.from_others + 3 * static_cast<std::size_t>(*blocker);
-                    const Real *const to_light = own.lamps[light].place;
-                    double a = 0, h = 0, start = 0, radius = 0;
-                    for (int c = 0; c < 3; ++c) {
-                        const double inverse = double(other.inverse_scale[c]);
-                        const double o = (middle[c] + double(between[c])) * inverse;
-                        const double d = (double(to_light[c]) - middle[c]) * inverse;
-                        const double r = half[c] * inverse;
-                        a += d * d;
-                        h += o * d;
-                        start += o * o;
-                        radius += r * r;
-                    }
-                    const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
-                    const double distance = start + t * (2 * h + t * a);
-                    const double doubts = 8 * double(scene.doubt) * (1 + start + radius + a);
-                    const double apart = 1 + doubts + __builtin_sqrt(radius);
-                    if (!(other.lamps[light].side > 0 && distance > apart * apart)) *end++ = *blocker;
-                }
-                lists[light] = {begin, end};
+                for (const std::int32_t *j = list.begin; j != list.end; ++j)
+                    if (!goes(*j)) *end++ = *j;
+                list = {begin, end};
                 used += static_cast<std::size_t>(end - begin);
+            };
+            for (std::size_t light = 0; light < scene.light_count; ++light) {
+                const Lamp<Real> &lamp = own.lamps[light];
+                if (!lamp.adds || lists[light].begin == lists[light].end) continue;
+                keep(lists[light], [&](std::int32_t j) {
+                    const SphereConstants<Real> &other = scene.spheres[j];
+                    return other.lamps[light].side > 0 &&
+                           passes(scene, lamp, own.from_others + 3 * j, other, middle, half);
+                });
             }
+            if (mirror && !part.inside)
+                keep(lists[scene.light_count], [&](std::int32_t j) {
+                    return j == i || is_below(scene, own, own.from_others + 3 * j, scene.spheres[j], part);
+                });
         }
     }
 
@@ -298,11 +361,12 @@ struct Kernel {
     }
 
     // Reflected rays: on the sphere they start from only the other root, which the outside never meets. met: a bit for
-    // each sphere that is hit, its place modulo 64.
+    // each sphere that is hit, its place modulo 64. others: what they can meet.
     static WHITTED_INLINE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
-                                       Lanes active, std::uint64_t &met) {
+                                       Lanes active, SphereList others, std::uint64_t &met) {
         Hit nearest = no_hit();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+        for (const std::int32_t *other = others.begin; other != others.end; ++other) {
+            const std::size_t j = static_cast<std::size_t>(*other);
             const Vec d = direction * broadcast(scene.spheres[j].inverse_scale);
             if (j == x.sphere) {
                 const Lanes crosses = active & x.inside;
@@ -349,7 +413,7 @@ struct Kernel {
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
     // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
     static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                       Blockers blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
+                                       SphereList blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
         // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
@@ -418,7 +482,8 @@ struct Kernel {
     // The terms of the specification at the hits on one sphere. N is the shading normal. lists: where not null, what
     // can hide each light, in place of the scene's lists.
     static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      Lanes lanes, const Blockers *lists, Real *const *shadow_planes, std::size_t at) {
+                                      Lanes lanes, const SphereList *lists, Real *const *shadow_planes,
+                                      std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
@@ -486,11 +551,11 @@ struct Kernel {
 
     // Sends the rays of these lanes on from the mirror that x lies on, into `next`.
     static WHITTED_INLINE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                       P weight, Lanes lanes, Chain &next) {
+                                       P weight, Lanes lanes, SphereList others, Chain &next) {
         // d - 2 (d.N) N
         const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
         std::uint64_t met = 0;
-        const Hit found = next_hit(scene, x, mirrored, lanes, met);
+        const Hit found = next_hit(scene, x, mirrored, lanes, others, met);
         const Lanes goes_on = lanes & (found.sphere >= P(zero));
         if (!any(goes_on)) return;
 
@@ -518,7 +583,7 @@ struct Kernel {
                 const Local local = shade(scene, x, N, chain.direction, lanes, nullptr, nullptr, at);
                 order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * chain.weight, order);
                 if (bounce < scene.max_reflections && sphere.reflection > zero)
-                    reflect(scene, x, N, chain.direction, chain.weight, lanes, next);
+                    reflect(scene, x, N, chain.direction, chain.weight, lanes, scene.all, next);
             }
             reflected = reflected + order;
             if (orders) store3(orders + 3 * (bounce - 1), at, order);
@@ -527,11 +592,11 @@ struct Kernel {
         return reflected;
     }
 
-    // words: where the beauty in 8 bits is all that is asked for. lists: of each outline, what can hide each light;
-    // null: the scene's lists.
+    // words: where the beauty in 8 bits is all that is asked for. lists: those of SpanLists, or null: the
+    // scene's.
     template <bool only_words>
     static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
-                                            const Blockers *lists, std::size_t at, std::int32_t *words) {
+                                            const SphereList *lists, std::size_t at, std::int32_t *words) {
         const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
         const Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
         const Hit hit = hits.load(at);
@@ -558,8 +623,8 @@ struct Kernel {
             const SphereConstants<Real> &sphere = scene.spheres[i];
             const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
             const Vec N = shading_normal(sphere, x.n, x.inside);
-            const Local local = shade(scene, x, N, direction, lanes, lists ? lists + k * scene.light_count : nullptr,
-                                      planes.shadow, at);
+            const SphereList *own_lists = lists ? lists + k * (scene.light_count + 1) : nullptr;
+            const Local local = shade(scene, x, N, direction, lanes, own_lists, planes.shadow, at);
             beauty = select3(lanes, local.ambient + (local.diffuse + local.specular), beauty);
             if constexpr (!only_words) {
                 primary.ambient = select3(lanes, local.ambient, primary.ambient);
@@ -569,7 +634,8 @@ struct Kernel {
                 id = select(lanes, P(Real(sphere.index)), id);
             }
             if (scene.max_reflections > 0 && sphere.reflection > zero)
-                reflect(scene, x, N, direction, P(one), lanes, chain);
+                reflect(scene, x, N, direction, P(one), lanes, own_lists ? own_lists[scene.light_count] : scene.all,
+                        chain);
         }
         Vec reflected = broadcast_zero();
         if (chain.met) reflected = reflections(scene, chain, planes.reflection_order, at);
@@ -592,10 +658,10 @@ struct Kernel {
     static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
         Hits hits;
         first_hits(scene, span, hits);
-        SpanBlockers found;
-        const Blockers *lists = nullptr;
-        if (scene.span_blockers && span.outline_count * scene.light_count <= SpanBlockers::most_lists) {
-            find_blockers(scene, span, hits, found);
+        SpanLists found;
+        const SphereList *lists = nullptr;
+        if (scene.span_lists && span.outline_count * (scene.light_count + 1) <= SpanLists::most_lists) {
+            find_lists(scene, span, hits, found);
             lists = found.lists;
         }
         if (span.bytes) {

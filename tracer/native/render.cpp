@@ -11,6 +11,7 @@
 #include <exception>
 #include <limits>
 #include <mutex>
+#include <numeric>
 #include <set>
 #include <system_error>
 #include <thread>
@@ -33,6 +34,8 @@ constexpr std::int64_t piece = 8192;
 constexpr std::int64_t pixels_to_report = 2048;
 // Below this many pixels a second thread costs more than it saves.
 constexpr std::int64_t pixels_for_a_thread = 16384;
+// How much background is copied at a time.
+constexpr std::int64_t pattern_columns = 4096;
 // Up to here the places of all columns are kept; up to here what concerns two spheres and a light, too.
 constexpr std::int64_t most_columns_kept = 1 << 17;
 constexpr std::size_t most_spheres_kept = 256;
@@ -196,11 +199,12 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     std::vector<SphereConstants<Real>> spheres;
     std::vector<Lamp<Real>> lamps;
     std::vector<Real> from_others;
+    std::vector<std::int32_t> everything;  // 0, 1 ..: the places of the spheres
     std::vector<std::int32_t> blocking;
 
     std::vector<Silhouette> silhouettes;  // empty: nothing is cut
     std::vector<Real> columns;            // x of each column, the last one again up to a packet; empty: too many
-    std::uint8_t background8[3 * span_columns];
+    std::uint8_t background8[3 * pattern_columns];
     Grid across, down;
     double blur;  // bound above the roundings of a place in a row, in columns
     SceneConstants<Real> scene{};
@@ -267,7 +271,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         }
         find_blockers(from, distinct, cuts);
         scene.doubt = cuts ? static_cast<Real>(256 * unit_roundoff) : std::numeric_limits<Real>::infinity();
-        scene.span_blockers = cuts && distinct.size() <= most_spheres_kept;
+        scene.span_lists = cuts && distinct.size() <= most_spheres_kept;
         scene.spheres = spheres.data();
 
         scene.sphere_count = spheres.size();
@@ -304,11 +308,12 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     void find_blockers(const Scene &from, const std::vector<std::size_t> &distinct, bool cuts) {
         const std::size_t count = distinct.size();
         const std::size_t light_count = from.lights.size();
+        everything.resize(count);
+        std::iota(everything.begin(), everything.end(), 0);
+        scene.all = {everything.data(), everything.data() + count};
         const bool all = !cuts || count * count * light_count > most_blockers_sought;
         std::vector<std::size_t> ends;
-        if (all) {
-            for (std::size_t j = 0; j < count; ++j) blocking.push_back(static_cast<std::int32_t>(j));
-        } else {
+        if (!all) {
             for (const std::size_t i : distinct) {
                 const Sphere &surface = from.spheres[i];
                 const double reach = farthest_ray(surface, from);
@@ -324,9 +329,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         }
         std::size_t begin = 0;
         for (std::size_t k = 0; k < count * light_count; ++k) {
-            const std::size_t end = all ? count : ends[k];
-            lamps[k].blockers = {blocking.data() + begin, blocking.data() + end};
-            if (!all) begin = end;
+            lamps[k].blockers = all ? scene.all : SphereList{blocking.data() + begin, blocking.data() + ends[k]};
+            if (!all) begin = ends[k];
         }
     }
 
@@ -476,8 +480,9 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         const std::int64_t width = channels(target.kind);
         if (target.kind == PassKind::beauty8) {
             std::uint8_t *to = static_cast<std::uint8_t *>(target.data) + 3 * pixel;
-            for (std::int64_t k = 0; k < count; k += span_columns)
-                std::memcpy(to + 3 * k, background8, static_cast<std::size_t>(3 * std::min(span_columns, count - k)));
+            for (std::int64_t k = 0; k < count; k += pattern_columns)
+                std::memcpy(to + 3 * k, background8,
+                            static_cast<std::size_t>(3 * std::min(pattern_columns, count - k)));
         } else if (target.kind == PassKind::id) {
             std::fill_n(static_cast<std::int32_t *>(target.data) + pixel, count, -1);
         } else if (target.kind == PassKind::depth) {
@@ -493,8 +498,11 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
     // Traces pixels of one row that begins with pixel `row`, counted from the targets' first; y is its height.
     void trace_run(std::int64_t row, Real y, std::int64_t begin, std::int64_t end, Buffer &buffer,
                    const std::vector<Target> &targets, std::int64_t &finished, const GoOn &go_on, bool &stopped) const {
-        for (std::int64_t column = begin; column < end && !stopped; column += span_columns) {
-            const std::int64_t count = std::min(span_columns, end - column);
+        constexpr std::int64_t widest = widest_packet;
+        const std::int64_t spans = (end - begin + span_columns - 1) / span_columns;
+        const std::int64_t even = ((end - begin + spans - 1) / spans + widest - 1) / widest * widest;
+        for (std::int64_t column = begin; column < end && !stopped; column += even) {
+            const std::int64_t count = std::min(even, end - column);
             const Real *directions = columns.data() + column;
             if (columns.empty()) {
                 places(buffer.directions, column, count);
