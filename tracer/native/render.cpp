@@ -30,6 +30,8 @@ constexpr std::int64_t span_columns = widest_span;
 static_assert(widest_span % widest_packet == 0);
 // What a thread takes at a time: long enough to make the taking cheap, short enough to share the work evenly.
 constexpr std::int64_t piece = 8192;
+// The same where a system call follows each time; three bytes each stay in the second-level cache.
+constexpr std::int64_t streamed_piece = 65536;
 // How often a thread asks whether to go on.
 constexpr std::int64_t pixels_to_report = 2048;
 // Below this many pixels a second thread costs more than it saves.
@@ -186,7 +188,7 @@ struct Renderer::Prepared {
     Settings settings;
     virtual ~Prepared() = default;
     // Called with the number of pixels that were just finished; false: leave the rest.
-    using GoOn = std::function<bool(std::int64_t)>;
+    using GoOn = Renderer::GoOn;
     // Renders pixels begin .. end - 1, counted row by row; the targets begin with pixel `first`.
     virtual void pixels(std::int64_t begin, std::int64_t end, std::int64_t first, const std::vector<Target> &targets,
                         const GoOn &go_on) const = 0;
@@ -587,6 +589,37 @@ Renderer::~Renderer() { delete prepared; }
 
 bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<Target> &targets,
                       const Poll &poll) const {
+    const auto worker = [&]() -> Piece {
+        return [&](std::int64_t begin, std::int64_t end, const GoOn &go_on) {
+            prepared->pixels(begin, end, first, targets, go_on);
+            return true;
+        };
+    };
+    return share(first, last, piece, worker, poll);
+}
+
+bool Renderer::stream(const Deliver &deliver, const Poll &poll) const {
+    const std::int64_t pixels = prepared->view.columns * prepared->view.rows;
+    // Eight pieces a processor share the work of a small image evenly.
+    const std::int64_t processors = std::max(1U, std::thread::hardware_concurrency());
+    const std::int64_t size = std::clamp(pixels / (8 * processors), piece, streamed_piece);
+    const auto worker = [&]() -> Piece {
+        return [&, bytes = std::vector<std::uint8_t>(static_cast<std::size_t>(3 * std::min(size, pixels)))](
+                   std::int64_t begin, std::int64_t end, const GoOn &go_on) mutable {
+            std::int64_t done = 0;
+            const GoOn count = [&](std::int64_t more) {
+                done += more;
+                return go_on(more);
+            };
+            prepared->pixels(begin, end, begin, {{PassKind::beauty8, 0, bytes.data()}}, count);
+            return done == end - begin && deliver(begin, end, bytes.data());
+        };
+    };
+    return share(0, pixels, size, worker, poll);
+}
+
+bool Renderer::share(std::int64_t first, std::int64_t last, std::int64_t size, const std::function<Piece()> &worker,
+                     const Poll &poll) const {
     using Clock = std::chrono::steady_clock;
     constexpr auto poll_interval = std::chrono::milliseconds(50);
     std::atomic<std::int64_t> next{first};
@@ -607,10 +640,11 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
             return !stopped.load(std::memory_order_relaxed);
         };
         try {
+            const Piece render_piece = worker();
             while (!stopped.load(std::memory_order_relaxed)) {
-                const std::int64_t begin = next.fetch_add(piece, std::memory_order_relaxed);
+                const std::int64_t begin = next.fetch_add(size, std::memory_order_relaxed);
                 if (begin >= last) return;
-                prepared->pixels(begin, std::min(begin + piece, last), first, targets, go_on);
+                if (!render_piece(begin, std::min(begin + size, last), go_on)) stopped = true;
             }
         } catch (...) {  // out of memory: the calling thread says so once all have come to an end
             const std::lock_guard lock(failing);
@@ -624,7 +658,7 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
         threads = std::min<std::int64_t>(std::max(1U, std::thread::hardware_concurrency()),
                                          std::max<std::int64_t>(1, (last - first) / pixels_for_a_thread));
     }
-    threads = std::min<std::int64_t>({threads, (last - first + piece - 1) / piece, most_threads});
+    threads = std::min<std::int64_t>({threads, (last - first + size - 1) / size, most_threads});
     std::vector<std::thread> helpers;
     helpers.reserve(static_cast<std::size_t>(threads));
     try {
