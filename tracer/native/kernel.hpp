@@ -70,7 +70,7 @@ struct Kernel {
     };
 
     // Rays whose D is below 0 by no more than its rounding bound, 16 u (1 + sum |l_k| (|o_k| + |h a_k|)): they touch.
-    static WHITTED_INLINE Lanes touching(P D, Vec o, Vec closest, Vec along) {
+    static WHITTED_LARGE Lanes touching(P D, Vec o, Vec closest, Vec along) {
         const P sum = absolute(closest.x) * (absolute(o.x) + absolute(along.x)) +
                       absolute(closest.y) * (absolute(o.y) + absolute(along.y)) +
                       absolute(closest.z) * (absolute(o.z) + absolute(along.z));
@@ -113,7 +113,7 @@ struct Kernel {
 
     // The image plane, at the ray's point y = eye + d: a root of f = |y|^2 - 1 within its rounding bound of t = 1 is 1,
     // so it does not count. It is the near root where the ray runs inwards there, y.d < 0, else the far one.
-    static WHITTED_INLINE void settle_plane(const SphereConstants<Real> &sphere, Vec d, Roots &roots) {
+    static WHITTED_LARGE void settle_plane(const SphereConstants<Real> &sphere, Vec d, Roots &roots) {
         const Vec y = broadcast(sphere.eye) + d;
         const Vec size = absolute3(y);
         const Vec reach = absolute3(d) + broadcast(sphere.plane_reach);
@@ -154,7 +154,7 @@ struct Kernel {
     }
 
     // Primary rays: the smallest t > 1; of equal ones the first in the file.
-    static WHITTED_INLINE void first_hits(const SceneConstants<Real> &scene, const Span<Real> &span, Hits &hits) {
+    static WHITTED_LARGE void first_hits(const SceneConstants<Real> &scene, const Span<Real> &span, Hits &hits) {
         for (std::size_t at = 0; at < span.count; at += Width) {
             P(-one).store(hits.sphere + at);
             P(Real(__builtin_inf())).store(hits.t + at);
@@ -210,7 +210,7 @@ struct Kernel {
         bool empty;   // all hits are on others
         bool inside;  // some of them see the inside
     };
-    static WHITTED_INLINE Box box(const Hits &hits, Reach part, P place) {
+    static WHITTED_LARGE Box box(const Hits &hits, Reach part, P place) {
         const P infinity = Real(__builtin_inf());
         Vec low{infinity, infinity, infinity};
         Vec high{-infinity, -infinity, -infinity};
@@ -235,8 +235,8 @@ struct Kernel {
     // Whether no segment from a box on sphere `own` to the light comes near `other`. middle, half: of the box, from the
     // sphere's centre in the world. In the unit space of `other` the box is in a ball about its middle: the distance of
     // the origin from the segment that starts there is more than the ball's radius and 1, and all roundings.
-    static WHITTED_INLINE bool passes(const SceneConstants<Real> &scene, const Lamp<Real> &lamp, const Real *between,
-                                      const SphereConstants<Real> &other, const double *middle, const double *half) {
+    static WHITTED_LARGE bool passes(const SceneConstants<Real> &scene, const Lamp<Real> &lamp, const Real *between,
+                                     const SphereConstants<Real> &other, const double *middle, const double *half) {
         double a = 0, h = 0, start = 0, radius = 0;
         for (int c = 0; c < 3; ++c) {
             const double inverse = double(other.inverse_scale[c]);
@@ -256,8 +256,8 @@ struct Kernel {
 
     // Whether `other` is below the tangent planes of sphere `own` at all points of a box, where no reflected ray goes:
     // with the gradient g = n / s of a point n, g.(y - p) < n.n = 1 for all points y of the other, and all roundings.
-    static WHITTED_INLINE bool is_below(const SceneConstants<Real> &scene, const SphereConstants<Real> &own,
-                                        const Real *between, const SphereConstants<Real> &other, const Box &part) {
+    static WHITTED_LARGE bool is_below(const SceneConstants<Real> &scene, const SphereConstants<Real> &own,
+                                       const Real *between, const SphereConstants<Real> &other, const Box &part) {
         double along = 0, extent = 0, far = 1;
         for (int c = 0; c < 3; ++c) {
             const double inverse = double(own.inverse_scale[c]);
@@ -285,8 +285,8 @@ struct Kernel {
         return along + grown * __builtin_sqrt(extent) + doubts < 1;
     }
 
-    static WHITTED_INLINE void find_lists(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
-                                          SpanLists &found) {
+    static WHITTED_LARGE void find_lists(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                         SpanLists &found) {
         std::size_t used = 0;
         for (std::size_t k = 0; k < span.outline_count; ++k) {
             const std::int32_t i = span.outlines[k].sphere;
@@ -362,8 +362,8 @@ struct Kernel {
 
     // Reflected rays: on the sphere they start from only the other root, which the outside never meets. met: a bit for
     // each sphere that is hit, its place modulo 64. others: what they can meet.
-    static WHITTED_INLINE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
-                                       Lanes active, SphereList others, std::uint64_t &met) {
+    static WHITTED_LARGE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
+                                      Lanes active, SphereList others, std::uint64_t &met) {
         Hit nearest = no_hit();
         for (const std::int32_t *other = others.begin; other != others.end; ++other) {
             const std::size_t j = static_cast<std::size_t>(*other);
@@ -401,7 +401,7 @@ struct Kernel {
     }
 
     // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. side: of the light there, not 0.
-    static WHITTED_INLINE Lanes meets(Vec o, P distance_squared, P c, Vec d, P epsilon, int side) {
+    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, P epsilon, int side) {
         const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
         // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it
         // where their middle is, or both behind it.
@@ -412,8 +412,8 @@ struct Kernel {
     // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
     // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
-    static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                       SphereList blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
+    static WHITTED_LARGE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
+                                      SphereList blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
         // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
@@ -481,9 +481,8 @@ struct Kernel {
 
     // The terms of the specification at the hits on one sphere. N is the shading normal. lists: where not null, what
     // can hide each light, in place of the scene's lists.
-    static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      Lanes lanes, const SphereList *lists, Real *const *shadow_planes,
-                                      std::size_t at) {
+    static WHITTED_LARGE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                     Lanes lanes, const SphereList *lists, Real *const *shadow_planes, std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
@@ -550,8 +549,8 @@ struct Kernel {
     };
 
     // Sends the rays of these lanes on from the mirror that x lies on, into `next`.
-    static WHITTED_INLINE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                       P weight, Lanes lanes, SphereList others, Chain &next) {
+    static WHITTED_LARGE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                      P weight, Lanes lanes, SphereList others, Chain &next) {
         // d - 2 (d.N) N
         const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
         std::uint64_t met = 0;
@@ -567,8 +566,8 @@ struct Kernel {
     }
 
     // What the mirrors show. orders: planes of the single reflections, or null.
-    static WHITTED_INLINE Vec reflections(const SceneConstants<Real> &scene, Chain chain, Real *const *orders,
-                                          std::size_t at) {
+    static WHITTED_LARGE Vec reflections(const SceneConstants<Real> &scene, Chain chain, Real *const *orders,
+                                         std::size_t at) {
         Vec reflected = broadcast_zero();
         for (std::int32_t bounce = 1; chain.met; ++bounce) {
             Chain next;
@@ -595,8 +594,8 @@ struct Kernel {
     // words: where the beauty in 8 bits is all that is asked for. lists: those of SpanLists, or null: the
     // scene's.
     template <bool only_words>
-    static WHITTED_INLINE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
-                                            const SphereList *lists, std::size_t at, std::int32_t *words) {
+    static WHITTED_LARGE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                           const SphereList *lists, std::size_t at, std::int32_t *words) {
         const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
         const Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
         const Hit hit = hits.load(at);

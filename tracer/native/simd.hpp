@@ -14,6 +14,12 @@
 #endif
 
 #define WHITTED_INLINE __attribute__((always_inline)) inline
+// Large functions: the checks of a sanitizer make them too large to compile in one piece.
+#if defined(__SANITIZE_ADDRESS__)
+#define WHITTED_LARGE __attribute__((noinline))
+#else
+#define WHITTED_LARGE WHITTED_INLINE
+#endif
 
 namespace whitted {
 namespace {
