@@ -380,15 +380,12 @@ struct Kernel {
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
             const P c = distance_squared - P(one);
-            {
-                const P a = dot(d, d);
-                const P h = dot(o, d);
-                // From outside and away from it: both roots are below 0, or nothing. Or D is below 0 for certain.
-                const Lanes misses =
-                    ((h > P(zero)) & (c >= P(zero))) |
-                    (h * h - a * c < -(P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow)));
-                if (!any(active & !misses)) continue;
-            }
+            // From outside and away from it: both roots are below 0, or nothing. Or D is below 0 for certain.
+            const P a = dot(d, d);
+            const P h = dot(o, d);
+            const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
+            const Lanes misses = ((h > P(zero)) & (c >= P(zero))) | (h * h - a * c < -slack);
+            if (!any(active & !misses)) continue;
             const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
