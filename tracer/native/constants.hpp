@@ -7,48 +7,73 @@
 
 namespace whitted {
 
+// Places of spheres among the existing ones.
+struct SphereList {
+    const std::int32_t *begin;
+    const std::int32_t *end;
+};
+
+// A light, as a sphere sees it.
+template <class Real>
+struct Lamp {
+    Real place[3];        // its place minus the sphere's p
+    Real diffuse[3];      // Kd Ip
+    Real specular[3];     // Ks Ip
+    Real least_facing;    // n.d below minus this says for certain that N.L < 0
+    SphereList blockers;  // what can stand between it and the sphere
+    std::int32_t side;    // -1 inside the sphere, 0 on it, 1 outside, exactly
+    bool adds;            // whether it lights the sphere at all
+};
+
+// The columns of a row, begin .. end - 1, outside of which no ray meets a sphere.
+struct Outline {
+    std::int32_t sphere;  // its place among the existing spheres
+    std::int64_t begin;
+    std::int64_t end;
+};
+
 // One existing sphere. Lengths that are subtracted from each other stay in float64 whatever the kernel's precision.
 template <class Real>
 struct SphereConstants {
-    double center[3];                // p
-    Real scale[3];                   // |s|
-    Real inverse_scale[3];           // 1 / |s|
-    Real eye[3];                     // the eye in the sphere's unit space: -p / |s|
-    Real eye_power;                  // |eye|^2 - 1, from float64: below 0 when the eye is inside
-    Real eye_distance_squared;       // |eye|^2
-    bool meets_plane;                // whether it reaches the image plane z = -near, where primary rays begin to count
-    Real plane_reach[3];             // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
-    Real ambient[3];                 // Ka Ia O
-    Real color[3];                   // O
-    Real reflection;                 // Kr
-    Real exponent;                   // n
-    std::int32_t integer;            // n where it is an integer that is multiplied out, else -1
-    std::int32_t index;              // in the scene, what the pass `id` shows
-    bool lit;                        // Kd or Ks is not 0
-    bool specular;                   // Ks is not 0
-    const Real *light_terms;         // a light's Kd Ip (three) and Ks Ip (three), one light after the other
-    const std::int8_t *light_sides;  // of each light: -1 inside this sphere, 0 on it, 1 outside, exactly
-};
-
-template <class Real>
-struct LightConstants {
-    double position[3];
-    bool dark;  // all intensities are 0
+    double center[3];           // p
+    Real scale[3];              // |s|
+    Real inverse_scale[3];      // 1 / |s|
+    Real eye[3];                // the eye in the sphere's unit space: -p / |s|
+    Real eye_power;             // |eye|^2 - 1, from float64: below 0 when the eye is inside
+    Real eye_distance_squared;  // |eye|^2
+    bool meets_plane;           // whether it reaches the image plane z = -near, where primary rays begin to count
+    Real plane_reach[3];        // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
+    Real ambient[3];            // Ka Ia O
+    Real color[3];              // O
+    Real reflection;            // Kr
+    Real exponent;              // n
+    std::int32_t integer;       // n where it is an integer that is multiplied out, else -1
+    std::int32_t index;         // in the scene, what the pass `id` shows
+    bool lit;                   // Kd or Ks is not 0
+    bool specular;              // Ks is not 0
+    const Real *from_others;    // of each sphere: p minus its centre; null where there are too many
+    const Lamp<Real> *lamps;    // one a light
 };
 
 template <class Real>
 struct SceneConstants {
     const SphereConstants<Real> *spheres;
-    const LightConstants<Real> *lights;
+
     std::size_t sphere_count;
     std::size_t light_count;
     Real background[3];
     Real shadow_epsilon;
+    Real certain_epsilon;  // a little more: what is above it, is above shadow_epsilon whatever the rounding
     std::int32_t max_reflections;
+    // A bound above all roundings of D a = h^2 - a c, in units of a (1 + |o|^2), touching() included: what is decided
+    // beyond it needs no division and no root. Infinite where nothing is to be cut.
+    Real doubt;
+    SphereList all;   // all spheres
+    bool span_lists;  // shorten the lists span by span; from_others is there
 };
 
-// Where a span's results go: a plane of `count` values each, null where a pass is not asked for. The planes of shadow
-// and of the single reflections hold zeros before the call.
+// Where a span's results go: a plane of at least `count` values each, null where a pass is not asked for. The planes of
+// shadow and of the single reflections hold zeros before the call.
 template <class Real>
 struct Planes {
     Real *beauty[3];
@@ -65,20 +90,25 @@ struct Planes {
     Real *const *reflection_order;  // three a bounce
 };
 
-// Neighbouring pixels of one row. count is a multiple of the widest packet; the directions are padded to it.
+// Neighbouring pixels of one row. The directions and the planes reach to the next multiple of the widest packet.
 template <class Real>
 struct Span {
     const Real *direction_x;
     Real direction_y;
     Real direction_z;
-    std::size_t count;
+    std::int64_t column;      // of the first pixel
+    std::size_t count;        // at most widest_span
+    const Outline *outlines;  // in the order of the file
+    std::size_t outline_count;
     Planes<Real> planes;
+    std::uint8_t *bytes;  // where not null: the beauty in 8 bits, three bytes a pixel, and no planes
 };
 
 template <class Real>
 using TraceSpan = void (*)(const SceneConstants<Real> &, const Span<Real> &);
 
 inline constexpr std::size_t widest_packet = 16;
+inline constexpr std::size_t widest_span = 256;  // its planes stay in the first-level caches
 
 // The kernels of one instruction set.
 struct Kernels {

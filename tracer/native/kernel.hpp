@@ -28,6 +28,8 @@ struct Kernel {
     static constexpr Real touch_reach = 64 * unit_roundoff;
     // Beyond this the digits of D are lost anyway; without it a far, small sphere would grow without end.
     static constexpr Real widest_touch = Real(0.5);
+    // Far above all that underflows where there is something to cut.
+    static constexpr Real underflow = sizeof(Real) == 8 ? Real(1e-200) : Real(1e-30f);
 
     struct Vec {
         P x, y, z;
@@ -42,10 +44,14 @@ struct Kernel {
     static WHITTED_INLINE Vec select3(Lanes yes, Vec a, Vec b) {
         return {select(yes, a.x, b.x), select(yes, a.y, b.y), select(yes, a.z, b.z)};
     }
-    static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
-    static WHITTED_INLINE Vec difference(const double *a, const double *b) {
-        return {P(Real(a[0] - b[0])), P(Real(a[1] - b[1])), P(Real(a[2] - b[2]))};
+    static WHITTED_INLINE double least(P v) {
+        Real lanes[Width];
+        v.store(lanes);
+        Real found = lanes[0];
+        for (int k = 1; k < Width; ++k) found = lanes[k] < found ? lanes[k] : found;
+        return double(found);
     }
+    static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
 
     // The nearest hit of each lane's ray.
     struct Hit {
@@ -64,7 +70,7 @@ struct Kernel {
     };
 
     // Rays whose D is below 0 by no more than its rounding bound, 16 u (1 + sum |l_k| (|o_k| + |h a_k|)): they touch.
-    static WHITTED_INLINE Lanes touching(P D, Vec o, Vec closest, Vec along) {
+    static WHITTED_LARGE Lanes touching(P D, Vec o, Vec closest, Vec along) {
         const P sum = absolute(closest.x) * (absolute(o.x) + absolute(along.x)) +
                       absolute(closest.y) * (absolute(o.y) + absolute(along.y)) +
                       absolute(closest.z) * (absolute(o.z) + absolute(along.z));
@@ -107,7 +113,7 @@ struct Kernel {
 
     // The image plane, at the ray's point y = eye + d: a root of f = |y|^2 - 1 within its rounding bound of t = 1 is 1,
     // so it does not count. It is the near root where the ray runs inwards there, y.d < 0, else the far one.
-    static WHITTED_INLINE void settle_plane(const SphereConstants<Real> &sphere, Vec d, Roots &roots) {
+    static WHITTED_LARGE void settle_plane(const SphereConstants<Real> &sphere, Vec d, Roots &roots) {
         const Vec y = broadcast(sphere.eye) + d;
         const Vec size = absolute3(y);
         const Vec reach = absolute3(d) + broadcast(sphere.plane_reach);
@@ -119,23 +125,212 @@ struct Kernel {
         roots.far_t = select(on & !inwards, P(one), roots.far_t);
     }
 
-    // Primary rays: the smallest t > 1; of equal ones the first in the file.
-    static WHITTED_INLINE Hit first_hit(const SceneConstants<Real> &scene, Vec direction) {
-        Hit nearest = no_hit();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
-            const SphereConstants<Real> &sphere = scene.spheres[j];
-            const Vec d = direction * broadcast(sphere.inverse_scale);
-            Roots roots =
-                intersect(broadcast(sphere.eye), P(sphere.eye_power), d, reach_squared(P(sphere.eye_distance_squared)));
-            if (!any(roots.real)) continue;
-            if (sphere.meets_plane) [[unlikely]]
-                settle_plane(sphere, d, roots);
-            const Lanes far = !(roots.near_t > P(one));
-            const P t = select(far, roots.far_t, roots.near_t);
-            const Lanes hit = roots.real & (t > P(one)) & (t < nearest.t);
-            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+    // The primary hits of a span: planes as of Hit.
+    struct Hits {
+        static constexpr std::size_t size = widest_span + widest_packet;
+        alignas(64) Real sphere[size];
+        alignas(64) Real t[size];
+        alignas(64) Real x[size];
+        alignas(64) Real y[size];
+        alignas(64) Real z[size];
+        alignas(64) Real inside[size];  // 1 or 0
+
+        WHITTED_INLINE Vec point(std::size_t at) const { return {P::load(x + at), P::load(y + at), P::load(z + at)}; }
+        WHITTED_INLINE Hit load(std::size_t at) const {
+            return {P::load(sphere + at), P::load(t + at), point(at), P::load(inside + at) > P(zero)};
         }
-        return nearest;
+    };
+
+    // The packets of a span that an outline reaches into.
+    struct Reach {
+        std::size_t begin, end;  // places in the span, multiples of Width from the first on
+    };
+    static WHITTED_INLINE Reach reach(const Outline &outline, const Span<Real> &span) {
+        const std::int64_t begin = outline.begin - span.column;
+        const std::int64_t end = outline.end - span.column;
+        const std::int64_t count = static_cast<std::int64_t>(span.count);
+        return {begin <= 0 ? 0 : static_cast<std::size_t>(begin) / Width * Width,
+                end <= 0 ? 0 : static_cast<std::size_t>(end < count ? end : count)};
+    }
+
+    // Primary rays: the smallest t > 1; of equal ones the first in the file.
+    static WHITTED_LARGE void first_hits(const SceneConstants<Real> &scene, const Span<Real> &span, Hits &hits) {
+        for (std::size_t at = 0; at < span.count; at += Width) {
+            P(-one).store(hits.sphere + at);
+            P(Real(__builtin_inf())).store(hits.t + at);
+            P(zero).store(hits.x + at);
+            P(zero).store(hits.y + at);
+            P(zero).store(hits.z + at);
+            P(zero).store(hits.inside + at);
+        }
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const Reach part = reach(span.outlines[k], span);
+            const SphereConstants<Real> &sphere = scene.spheres[span.outlines[k].sphere];
+            const P place = Real(span.outlines[k].sphere);
+            const Vec inverse_scale = broadcast(sphere.inverse_scale);
+            const Vec eye = broadcast(sphere.eye);
+            const P c(sphere.eye_power);
+            const P squared_reach = reach_squared(P(sphere.eye_distance_squared));
+            const P d_y = P(span.direction_y) * inverse_scale.y;
+            const P d_z = P(span.direction_z) * inverse_scale.z;
+            for (std::size_t at = part.begin; at < part.end; at += Width) {
+                const Vec d{P::load(span.direction_x + at) * inverse_scale.x, d_y, d_z};
+                Roots roots = intersect(eye, c, d, squared_reach);
+                if (!any(roots.real)) continue;
+                if (sphere.meets_plane) [[unlikely]]
+                    settle_plane(sphere, d, roots);
+                const Lanes far = !(roots.near_t > P(one));
+                const P t = select(far, roots.far_t, roots.near_t);
+                const P nearest_t = P::load(hits.t + at);
+                const Lanes hit = roots.real & (t > P(one)) & (t < nearest_t);
+                const Vec n = unit_point(roots, d, far);
+                const Vec nearest_n = hits.point(at);
+                select(hit, place, P::load(hits.sphere + at)).store(hits.sphere + at);
+                select(hit, t, nearest_t).store(hits.t + at);
+                select(hit, n.x, nearest_n.x).store(hits.x + at);
+                select(hit, n.y, nearest_n.y).store(hits.y + at);
+                select(hit, n.z, nearest_n.z).store(hits.z + at);
+                select(hit, select(far, P(one), P(zero)), P::load(hits.inside + at)).store(hits.inside + at);
+            }
+        }
+    }
+
+    // For each outline in a span: what can stand between its sphere's hits there and the lights, one list a light, and
+    // at the end a list of what their reflected rays can meet.
+    struct SpanLists {
+        static constexpr std::size_t most_lists = 64;
+        static constexpr std::size_t most = 512;
+        SphereList lists[most_lists];
+        std::int32_t spheres[most];
+    };
+
+    // The box that the hits of a span on one sphere are in, in the sphere's unit space.
+    struct Box {
+        double low[3], high[3];
+        bool empty;   // all hits are on others
+        bool inside;  // some of them see the inside
+    };
+    static WHITTED_LARGE Box box(const Hits &hits, Reach part, P place) {
+        const P infinity = Real(__builtin_inf());
+        Vec low{infinity, infinity, infinity};
+        Vec high{-infinity, -infinity, -infinity};
+        Lanes inside = Lanes::none();
+        for (std::size_t at = part.begin; at < part.end; at += Width) {
+            const Hit hit = hits.load(at);
+            const Lanes lanes = hit.sphere == place;
+            inside = inside | (lanes & hit.inside);
+            low = {select(lanes & (hit.n.x < low.x), hit.n.x, low.x), select(lanes & (hit.n.y < low.y), hit.n.y, low.y),
+                   select(lanes & (hit.n.z < low.z), hit.n.z, low.z)};
+            high = {select(lanes & (high.x < hit.n.x), hit.n.x, high.x),
+                    select(lanes & (high.y < hit.n.y), hit.n.y, high.y),
+                    select(lanes & (high.z < hit.n.z), hit.n.z, high.z)};
+        }
+        const double least_x = least(low.x);
+        return {{least_x, least(low.y), least(low.z)},
+                {-least(-high.x), -least(-high.y), -least(-high.z)},
+                !(least_x < __builtin_inf()),
+                any(inside)};
+    }
+
+    // Whether no segment from a box on sphere `own` to the light comes near `other`. middle, half: of the box, from the
+    // sphere's centre in the world. In the unit space of `other` the box is in a ball about its middle: the distance of
+    // the origin from the segment that starts there is more than the ball's radius and 1, and all roundings.
+    static WHITTED_LARGE bool passes(const SceneConstants<Real> &scene, const Lamp<Real> &lamp, const Real *between,
+                                     const SphereConstants<Real> &other, const double *middle, const double *half) {
+        double a = 0, h = 0, start = 0, radius = 0;
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(other.inverse_scale[c]);
+            const double o = (middle[c] + double(between[c])) * inverse;
+            const double d = (double(lamp.place[c]) - middle[c]) * inverse;
+            const double r = half[c] * inverse;
+            a += d * d;
+            h += o * d;
+            start += o * o;
+            radius += r * r;
+        }
+        const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
+        const double distance = start + t * (2 * h + t * a);
+        const double apart = 1 + 8 * double(scene.doubt) * (1 + start + radius + a) + __builtin_sqrt(radius);
+        return distance > apart * apart;
+    }
+
+    // Whether `other` is below the tangent planes of sphere `own` at all points of a box, where no reflected ray goes:
+    // with the gradient g = n / s of a point n, g.(y - p) < n.n = 1 for all points y of the other, and all roundings.
+    static WHITTED_LARGE bool is_below(const SceneConstants<Real> &scene, const SphereConstants<Real> &own,
+                                       const Real *between, const SphereConstants<Real> &other, const Box &part) {
+        double along = 0, extent = 0, far = 1;
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(own.inverse_scale[c]);
+            const double to = -double(between[c]) * inverse;
+            along += to * (to > 0 ? part.high[c] : part.low[c]);
+            const double steepest = -part.low[c] > part.high[c] ? -part.low[c] : part.high[c];
+            const double size = double(other.scale[c]) * inverse;
+            extent += size * size * steepest * steepest;
+            far += to * to + size * size;
+        }
+        double start = 1;
+        double narrow = 0, wide = 0;  // the least and the largest 1/s: what an angle is worth in the unit space
+        for (int c = 0; c < 3; ++c) {
+            const double inverse = double(own.inverse_scale[c]);
+            const double o = double(between[c]) * double(other.inverse_scale[c]);
+            const double r = double(own.scale[c]) * double(other.inverse_scale[c]);
+            start += 2 * o * o + 4 * r * r;
+            narrow = c == 0 || inverse < narrow ? inverse : narrow;
+            wide = inverse > wide ? inverse : wide;
+        }
+        const double grown = 1 + 8 * double(scene.doubt) * start;
+        // A ray that all but touches may leave below the tangent plane by its roundings.
+        const double doubts =
+            double(scene.doubt) * (1 + far) * (1 + double(own.eye_distance_squared)) * (wide / narrow);
+        return along + grown * __builtin_sqrt(extent) + doubts < 1;
+    }
+
+    static WHITTED_LARGE void find_lists(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                         SpanLists &found) {
+        std::size_t used = 0;
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const std::int32_t i = span.outlines[k].sphere;
+            const SphereConstants<Real> &own = scene.spheres[i];
+            SphereList *lists = found.lists + k * (scene.light_count + 1);
+            std::size_t listed = 0;
+            for (std::size_t light = 0; light < scene.light_count; ++light) {
+                lists[light] = own.lamps[light].blockers;
+                if (own.lamps[light].adds) listed += static_cast<std::size_t>(lists[light].end - lists[light].begin);
+            }
+            lists[scene.light_count] = scene.all;
+            const bool mirror = own.reflection > zero && scene.max_reflections > 0;
+            if (mirror) listed += scene.sphere_count;
+            if (listed == 0 || used + listed > SpanLists::most) continue;
+            const Box part = box(hits, reach(span.outlines[k], span), P(Real(i)));
+            if (part.empty) continue;
+            double middle[3], half[3];
+            for (int c = 0; c < 3; ++c) {
+                middle[c] = 0.5 * (part.low[c] + part.high[c]) * double(own.scale[c]);
+                half[c] = 0.5 * (part.high[c] - part.low[c]) * double(own.scale[c]);
+            }
+            // Those of `list` that stay go to the end of what is used.
+            const auto keep = [&](SphereList &list, auto goes) {
+                std::int32_t *const begin = found.spheres + used;
+                std::int32_t *end = begin;
+                for (const std::int32_t *j = list.begin; j != list.end; ++j)
+                    if (!goes(*j)) *end++ = *j;
+                list = {begin, end};
+                used += static_cast<std::size_t>(end - begin);
+            };
+            for (std::size_t light = 0; light < scene.light_count; ++light) {
+                const Lamp<Real> &lamp = own.lamps[light];
+                if (!lamp.adds || lists[light].begin == lists[light].end) continue;
+                keep(lists[light], [&](std::int32_t j) {
+                    const SphereConstants<Real> &other = scene.spheres[j];
+                    return other.lamps[light].side > 0 &&
+                           passes(scene, lamp, own.from_others + 3 * j, other, middle, half);
+                });
+            }
+            if (mirror && !part.inside)
+                keep(lists[scene.light_count], [&](std::int32_t j) {
+                    return j == i || is_below(scene, own, own.from_others + 3 * j, scene.spheres[j], part);
+                });
+        }
     }
 
     // A point on sphere i: n in its unit space, offset = |s_i| n from its centre in the world.
@@ -148,8 +343,16 @@ struct Kernel {
 
     // The point in the unit space of sphere j.
     static WHITTED_INLINE Vec seen_from(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t j) {
+        const SphereConstants<Real> &own = scene.spheres[x.sphere];
         const SphereConstants<Real> &other = scene.spheres[j];
-        return (x.offset + difference(scene.spheres[x.sphere].center, other.center)) * broadcast(other.inverse_scale);
+        Vec between;
+        if (own.from_others) [[likely]] {
+            between = broadcast(own.from_others + 3 * j);
+        } else {
+            between = {P(Real(own.center[0] - other.center[0])), P(Real(own.center[1] - other.center[1])),
+                       P(Real(own.center[2] - other.center[2]))};
+        }
+        return (x.offset + between) * broadcast(other.inverse_scale);
     }
 
     static WHITTED_INLINE P reach_squared(P distance_squared) {
@@ -157,63 +360,103 @@ struct Kernel {
                        P(widest_touch * widest_touch));
     }
 
-    // Reflected rays: on the sphere they start from only the other root, which the outside never meets.
-    static WHITTED_INLINE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
-                                       Lanes active) {
+    // Reflected rays: on the sphere they start from only the other root, which the outside never meets. met: a bit for
+    // each sphere that is hit, its place modulo 64. others: what they can meet.
+    static WHITTED_LARGE Hit next_hit(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
+                                      Lanes active, SphereList others, std::uint64_t &met) {
         Hit nearest = no_hit();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
+        for (const std::int32_t *other = others.begin; other != others.end; ++other) {
+            const std::size_t j = static_cast<std::size_t>(*other);
             const Vec d = direction * broadcast(scene.spheres[j].inverse_scale);
             if (j == x.sphere) {
                 const Lanes crosses = active & x.inside;
                 if (!any(crosses)) continue;
                 const P t = P(Real(-2)) * dot(x.n, d) / dot(d, d);
                 const Lanes hit = crosses & (t > P(zero)) & (t < nearest.t);
+                met |= std::uint64_t{1} << (j % 64);
                 keep_nearer(nearest, hit, t, P(Real(j)), x.n + d * t, Lanes::all());
                 continue;
             }
             const Vec o = seen_from(scene, x, j);
             const P distance_squared = dot(o, o);
-            const Roots roots = intersect(o, distance_squared - P(one), d, reach_squared(distance_squared));
+            const P c = distance_squared - P(one);
+            // From outside and away from it: both roots are below 0, or nothing. Or D is below 0 for certain.
+            const P a = dot(d, d);
+            const P h = dot(o, d);
+            const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
+            const Lanes misses = ((h > P(zero)) & (c >= P(zero))) | (h * h - a * c < -slack);
+            if (!any(active & !misses)) continue;
+            const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
-            if (any(hit)) keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+            if (!any(hit)) continue;
+            keep_nearer(nearest, hit, t, P(Real(j)), unit_point(roots, d, far), far);
+            met |= std::uint64_t{1} << (j % 64);
         }
         return nearest;
     }
 
+    // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. side: of the light there, not 0.
+    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, P epsilon, int side) {
+        const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
+        // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it
+        // where their middle is, or both behind it.
+        return side < 0 ? roots.near_t > epsilon
+                        : roots.real & (roots.far_t > epsilon) & (roots.near_t + roots.far_t < P(Real(2)));
+    }
+
     // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
-    static WHITTED_INLINE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                       Vec to_light, Lanes asked) {
+    // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
+    static WHITTED_LARGE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
+                                      SphereList blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
-        for (std::size_t j = 0; j < scene.sphere_count; ++j) {
-            const SphereConstants<Real> &sphere = scene.spheres[j];
-            const int side = sphere.light_sides[light];
-            const Vec d = to_light * broadcast(sphere.inverse_scale);
-            if (j == x.sphere) {
-                // The roots are 0 and the other one, which is before the light where that is outside.
-                if (side <= 0) continue;
-                found = found | (P(Real(-2)) * dot(x.n, d) / dot(d, d) > epsilon);
-            } else {
-                const Vec o = seen_from(scene, x, j);
-                const P distance_squared = dot(o, o);
-                const P c = distance_squared - P(one);
-                if (side == 0) {
-                    // The roots are 1, which does not hide, and, by their product c/a, the other one.
-                    const P other = c / dot(d, d);
-                    found = found | ((other > epsilon) & (other < P(one)));
-                } else {
-                    const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
-                    // The light is inside: the way there enters, unless it starts inside. It is outside: both roots
-                    // are before it where their middle is, or both behind it.
-                    found = found | (side < 0 ? roots.near_t > epsilon
-                                              : roots.real & (roots.far_t > epsilon) &
-                                                    (roots.near_t + roots.far_t < P(Real(2))));
-                }
+        // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
+        if (scene.spheres[x.sphere].lamps[light].side > 0) {
+            const P m = P(Real(-2)) * n_d;
+            if (any(asked & (m > P(zero)))) {
+                found = m / dot(own_d, own_d) > epsilon;
+                if (!any(asked & !found)) return asked;
             }
-            if (!any(asked & !found)) break;
+        }
+        for (const std::int32_t *blocker = blockers.begin; blocker != blockers.end; ++blocker) {
+            const std::size_t j = static_cast<std::size_t>(*blocker);
+            if (j == x.sphere) continue;
+            const SphereConstants<Real> &sphere = scene.spheres[j];
+            const int side = sphere.lamps[light].side;
+            const Vec d = to_light * broadcast(sphere.inverse_scale);
+            const Vec o = seen_from(scene, x, j);
+            const P distance_squared = dot(o, o);
+            const P c = distance_squared - P(one);
+            if (side == 0) {
+                // The roots are 1, which does not hide, and, by their product c/a, the other one.
+                const P other = c / dot(d, d);
+                found = found | ((other > epsilon) & (other < P(one)));
+            } else {
+                // What is certain without a division or a root: all but the rays near an outline.
+                const P g = -dot(o, d);
+                Lanes free, dark;
+                if (side > 0) {
+                    const P a = dot(d, d);
+                    const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
+                    const P discriminant = g * g - a * c;  // a D
+                    const P before = g * (a - g);          // above 0: the middle of the roots, g/a, is before the light
+                    free = (discriminant < -slack) | ((before < -slack) & (c >= P(zero)));
+                    if (!any(asked & !(found | free))) continue;
+                    dark = (discriminant > slack) & (before > slack) & (g > a * P(scene.certain_epsilon));
+                } else {
+                    const P slack = P(scene.doubt) * (P(one) + distance_squared);
+                    free = (c <= P(zero)) | (g < P(zero));
+                    if (!any(asked & !(found | free))) continue;
+                    dark = (c > slack) & (c > g * P(Real(2) * scene.certain_epsilon)) & (g > P(underflow));
+                }
+                found = found | dark;
+                if (any(asked & !(found | free))) [[unlikely]]
+                    found = found | meets(o, distance_squared, c, d, epsilon, side);
+            }
+            if (!any(asked & !found)) return asked;
         }
         return found & asked;
     }
@@ -233,17 +476,26 @@ struct Kernel {
         Vec ambient, diffuse, specular;
     };
 
-    // The terms of the specification at the hits on one sphere. N is the shading normal.
-    static WHITTED_INLINE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      Lanes lanes, Real *const *shadow_planes, std::size_t at) {
+    // The terms of the specification at the hits on one sphere. N is the shading normal. lists: where not null, what
+    // can hide each light, in place of the scene's lists.
+    static WHITTED_LARGE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                     Lanes lanes, const SphereList *lists, Real *const *shadow_planes, std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
         const Vec V = sphere.specular ? -direction * (P(one) / sqrt(dot(direction, direction))) : broadcast_zero();
+        const P NV = dot(N, V);
         for (std::size_t light = 0; light < scene.light_count; ++light) {
-            const bool contributes = sphere.lit && !scene.lights[light].dark;
-            if (!contributes && !shadow_planes) continue;
-            const Vec to_light = difference(scene.lights[light].position, sphere.center) - x.offset;
+            const Lamp<Real> &lamp = sphere.lamps[light];
+            if (!lamp.adds && !shadow_planes) continue;
+            const Vec to_light = broadcast(lamp.place) - x.offset;
+            const Vec own_d = to_light * broadcast(sphere.inverse_scale);
+            const P n_d = dot(x.n, own_d);
+            if (!shadow_planes) {
+                // n.d is N.L but for a positive factor, and the side that is seen.
+                const Lanes away = select(x.inside, n_d, -n_d) > P(lamp.least_facing);
+                if (!any(lanes & !away)) continue;
+            }
             const P distance_squared = dot(to_light, to_light);
             const Lanes apart = distance_squared > P(zero);  // a light at x itself is visible and adds nothing
             const Vec L = to_light * (P(one) / sqrt(distance_squared));
@@ -254,21 +506,21 @@ struct Kernel {
                 if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
                 continue;
             }
-            const Lanes dark = hidden(scene, x, light, to_light, asked);
+            const Lanes dark =
+                hidden(scene, x, light, lists ? lists[light] : lamp.blockers, to_light, own_d, n_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
             const Lanes bright = facing & !dark;
-            if (!contributes || !any(bright)) continue;
+            if (!lamp.adds || !any(bright)) continue;
 
-            const Real *terms = sphere.light_terms + 6 * light;
             const P cosine = select(bright, NL, P(zero));
-            local.diffuse = local.diffuse + broadcast(terms) * cosine * broadcast(sphere.color);
+            local.diffuse = local.diffuse + broadcast(lamp.diffuse) * cosine * broadcast(sphere.color);
             if (!sphere.specular) continue;
             // R = 2 (N.L) N - L; rounding alone brings R.V above 1.
-            const P RV = minimum(P(Real(2)) * NL * dot(N, V) - dot(L, V), P(one));
+            const P RV = minimum(P(Real(2)) * NL * NV - dot(L, V), P(one));
             const Lanes shiny = bright & (RV > P(zero));
             if (!any(shiny)) continue;
             const P highlight = select(shiny, power(RV, sphere.exponent, sphere.integer), P(zero));
-            local.specular = local.specular + broadcast(terms + 3) * highlight;
+            local.specular = local.specular + broadcast(lamp.specular) * highlight;
         }
         return local;
     }
@@ -279,95 +531,144 @@ struct Kernel {
         return select3(inside, -outward, outward);
     }
 
-    static void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, std::size_t at) {
-        const Planes<Real> &planes = span.planes;
-        Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
-        Hit hit = first_hit(scene, direction);
-        const Lanes covered = hit.sphere >= P(zero);
+    // The byte of v is 255 v, clamped, its fraction cut off; NaN becomes 0.
+    static WHITTED_INLINE P byte(P v) {
+        return select(v > P(zero), select(v < P(one), v, P(one)), P(zero)) * P(Real(255));
+    }
 
-        if (!any(covered)) {
-            const Vec nothing = broadcast_zero();
-            store3(planes.beauty, at, broadcast(scene.background));
-            store3(planes.ambient, at, nothing);
-            store3(planes.diffuse, at, nothing);
-            store3(planes.specular, at, nothing);
-            store3(planes.direct, at, nothing);
-            store3(planes.reflection, at, nothing);
-            store3(planes.position, at, nothing);
-            store3(planes.normal, at, nothing);
-            if (planes.depth) P(Real(__builtin_inf())).store(planes.depth + at);
-            if (planes.id) P(-one).store(planes.id + at);
-            return;
+    // Rays on their way from mirror to mirror.
+    struct Chain {
+        Hit hit = no_hit();
+        Vec direction = broadcast_zero();
+        P weight = zero;  // product of the Kr's before the hit
+        Lanes active = Lanes::none();
+        std::uint64_t met = 0;  // a bit for each sphere that was hit, its place modulo 64
+    };
+
+    // Sends the rays of these lanes on from the mirror that x lies on, into `next`.
+    static WHITTED_LARGE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+                                      P weight, Lanes lanes, SphereList others, Chain &next) {
+        // d - 2 (d.N) N
+        const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
+        std::uint64_t met = 0;
+        const Hit found = next_hit(scene, x, mirrored, lanes, others, met);
+        const Lanes goes_on = lanes & (found.sphere >= P(zero));
+        if (!any(goes_on)) return;
+
+        keep_nearer(next.hit, goes_on, found.t, found.sphere, found.n, found.inside);
+        next.direction = select3(goes_on, mirrored, next.direction);
+        next.weight = select(goes_on, weight * P(scene.spheres[x.sphere].reflection), next.weight);
+        next.active = next.active | goes_on;
+        next.met |= met;
+    }
+
+    // What the mirrors show. orders: planes of the single reflections, or null.
+    static WHITTED_LARGE Vec reflections(const SceneConstants<Real> &scene, Chain chain, Real *const *orders,
+                                         std::size_t at) {
+        Vec reflected = broadcast_zero();
+        for (std::int32_t bounce = 1; chain.met; ++bounce) {
+            Chain next;
+            Vec order = broadcast_zero();
+            for (std::size_t i = 0; i < scene.sphere_count; ++i) {
+                if (!(chain.met >> (i % 64) & 1)) continue;
+                const Lanes lanes = chain.active & (chain.hit.sphere == P(Real(i)));
+                if (!any(lanes)) continue;
+                const SphereConstants<Real> &sphere = scene.spheres[i];
+                const SurfacePoint x{i, chain.hit.n, chain.hit.n * broadcast(sphere.scale), chain.hit.inside};
+                const Vec N = shading_normal(sphere, x.n, x.inside);
+                const Local local = shade(scene, x, N, chain.direction, lanes, nullptr, nullptr, at);
+                order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * chain.weight, order);
+                if (bounce < scene.max_reflections && sphere.reflection > zero)
+                    reflect(scene, x, N, chain.direction, chain.weight, lanes, scene.all, next);
+            }
+            reflected = reflected + order;
+            if (orders) store3(orders + 3 * (bounce - 1), at, order);
+            chain = next;
+        }
+        return reflected;
+    }
+
+    // words: where the beauty in 8 bits is all that is asked for. lists: those of SpanLists, or null: the
+    // scene's.
+    template <bool only_words>
+    static WHITTED_LARGE void trace_packet(const SceneConstants<Real> &scene, const Span<Real> &span, const Hits &hits,
+                                           const SphereList *lists, std::size_t at, std::int32_t *words) {
+        const Planes<Real> planes = only_words ? Planes<Real>{} : span.planes;
+        const Vec direction{P::load(span.direction_x + at), P(span.direction_y), P(span.direction_z)};
+        const Hit hit = hits.load(at);
+        const Lanes covered = hit.sphere >= P(zero);
+        if constexpr (!only_words) {
+            if (planes.depth)
+                select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf())))
+                    .store(planes.depth + at);
+            if (planes.position[0]) store3(planes.position, at, select3(covered, direction * hit.t, broadcast_zero()));
         }
 
-        if (planes.depth)
-            select(covered, hit.t * sqrt(dot(direction, direction)), P(Real(__builtin_inf()))).store(planes.depth + at);
-        if (planes.position[0]) store3(planes.position, at, select3(covered, direction * hit.t, broadcast_zero()));
-
+        Vec beauty = broadcast(scene.background);
         Local primary{broadcast_zero(), broadcast_zero(), broadcast_zero()};
         Vec normal = broadcast_zero();
         P id(-one);
-        Vec reflected = broadcast_zero();
-        P weight(one);
-        Lanes active = covered;
-        for (std::int32_t bounce = 0;; ++bounce) {
-            Hit next = no_hit();
-            Vec next_direction = direction;
-            P next_weight = weight;
-            Lanes next_active = Lanes::none();
-            Vec order = broadcast_zero();
-            for (std::size_t i = 0; i < scene.sphere_count; ++i) {
-                const Lanes lanes = active & (hit.sphere == P(Real(i)));
-                if (!any(lanes)) continue;
-                const SphereConstants<Real> &sphere = scene.spheres[i];
-                const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
-                const Vec N = shading_normal(sphere, hit.n, hit.inside);
-                const Local local = shade(scene, x, N, direction, lanes, bounce == 0 ? planes.shadow : nullptr, at);
-                if (bounce == 0) {
-                    primary.ambient = select3(lanes, local.ambient, primary.ambient);
-                    primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
-                    primary.specular = select3(lanes, local.specular, primary.specular);
-                    normal = select3(lanes, N, normal);
-                    id = select(lanes, P(Real(sphere.index)), id);
-                } else {
-                    order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * weight, order);
-                }
-                if (bounce == scene.max_reflections || !(sphere.reflection > zero)) continue;
-                // d - 2 (d.N) N
-                const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
-                const Hit found = next_hit(scene, x, mirrored, lanes);
-                const Lanes goes_on = lanes & (found.sphere >= P(zero));
-                if (!any(goes_on)) continue;
-                keep_nearer(next, goes_on, found.t, found.sphere, found.n, found.inside);
-                next_direction = select3(goes_on, mirrored, next_direction);
-                next_weight = select(goes_on, weight * P(sphere.reflection), next_weight);
-                next_active = next_active | goes_on;
+        Chain chain;
+        const std::int64_t column = span.column + static_cast<std::int64_t>(at);
+        for (std::size_t k = 0; k < span.outline_count; ++k) {
+            const Outline &outline = span.outlines[k];
+            if (outline.begin >= column + Width || outline.end <= column) continue;
+            const std::size_t i = static_cast<std::size_t>(outline.sphere);
+            const Lanes lanes = hit.sphere == P(Real(i));
+            if (!any(lanes)) continue;
+            const SphereConstants<Real> &sphere = scene.spheres[i];
+            const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
+            const Vec N = shading_normal(sphere, x.n, x.inside);
+            const SphereList *own_lists = lists ? lists + k * (scene.light_count + 1) : nullptr;
+            const Local local = shade(scene, x, N, direction, lanes, own_lists, planes.shadow, at);
+            beauty = select3(lanes, local.ambient + (local.diffuse + local.specular), beauty);
+            if constexpr (!only_words) {
+                primary.ambient = select3(lanes, local.ambient, primary.ambient);
+                primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
+                primary.specular = select3(lanes, local.specular, primary.specular);
+                normal = select3(lanes, N, normal);
+                id = select(lanes, P(Real(sphere.index)), id);
             }
-            if (bounce > 0) {
-                reflected = reflected + order;
-                if (planes.reflection_order) store3(planes.reflection_order + 3 * (bounce - 1), at, order);
-            }
-            if (!any(next_active)) break;
-            hit = next;
-            direction = next_direction;
-            weight = next_weight;
-            active = next_active;
+            if (scene.max_reflections > 0 && sphere.reflection > zero)
+                reflect(scene, x, N, direction, P(one), lanes, own_lists ? own_lists[scene.light_count] : scene.all,
+                        chain);
         }
+        Vec reflected = broadcast_zero();
+        if (chain.met) reflected = reflections(scene, chain, planes.reflection_order, at);
+        if (!only_words || chain.met) beauty = select3(covered, beauty + reflected, beauty);
 
-        const Vec direct = primary.diffuse + primary.specular;
-        const Vec beauty = (primary.ambient + direct) + reflected;
-        store3(planes.beauty, at, select3(covered, beauty, broadcast(scene.background)));
-        store3(planes.ambient, at, primary.ambient);
-        store3(planes.diffuse, at, primary.diffuse);
-        store3(planes.specular, at, primary.specular);
-        store3(planes.direct, at, direct);
-        store3(planes.reflection, at, reflected);
-        store3(planes.normal, at, normal);
-        if (planes.id) id.store(planes.id + at);
+        if constexpr (only_words) {
+            store_words(words + at, byte(beauty.x), byte(beauty.y), byte(beauty.z));
+        } else {
+            store3(planes.beauty, at, beauty);
+            store3(planes.ambient, at, primary.ambient);
+            store3(planes.diffuse, at, primary.diffuse);
+            store3(planes.specular, at, primary.specular);
+            store3(planes.direct, at, primary.diffuse + primary.specular);
+            store3(planes.reflection, at, reflected);
+            store3(planes.normal, at, normal);
+            if (planes.id) id.store(planes.id + at);
+        }
     }
 
     static void trace_span(const SceneConstants<Real> &scene, const Span<Real> &span) {
-        for (std::size_t at = 0; at < span.count; at += Width) trace_packet(scene, span, at);
+        Hits hits;
+        first_hits(scene, span, hits);
+        SpanLists found;
+        const SphereList *lists = nullptr;
+        if (scene.span_lists && span.outline_count * (scene.light_count + 1) <= SpanLists::most_lists) {
+            find_lists(scene, span, hits, found);
+            lists = found.lists;
+        }
+        if (span.bytes) {
+            alignas(64) std::int32_t words[widest_span + widest_packet];
+            for (std::size_t at = 0; at < span.count; at += Width)
+                trace_packet<true>(scene, span, hits, lists, at, words);
+            pack_words(span.bytes, words, span.count);
+        } else {
+            for (std::size_t at = 0; at < span.count; at += Width)
+                trace_packet<false>(scene, span, hits, lists, at, nullptr);
+        }
     }
 };
 

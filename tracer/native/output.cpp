@@ -123,9 +123,15 @@ Problem OutputFile::open(const std::string &name, const std::string &scene, std:
     return {};
 }
 
-Problem OutputFile::write(const char *data, std::size_t size) {
+Problem OutputFile::write(const char *data, std::size_t size) { return put(data, size, -1); }
+
+Problem OutputFile::write_at(std::int64_t place, const char *data, std::size_t size) { return put(data, size, place); }
+
+// place: -1: where the last write ended.
+Problem OutputFile::put(const char *data, std::size_t size, std::int64_t place) {
     while (size > 0) {
-        const ssize_t written = ::write(descriptor, data, size);
+        const ssize_t written =
+            place < 0 ? ::write(descriptor, data, size) : ::pwrite(descriptor, data, size, static_cast<off_t>(place));
         if (written < 0 ? errno == EINTR : static_cast<std::size_t>(written) < size) {
             if (stopped()) return {"stopped", ""};
         }
@@ -135,6 +141,7 @@ Problem OutputFile::write(const char *data, std::size_t size) {
         }
         data += written;
         size -= static_cast<std::size_t>(written);
+        if (place >= 0) place += written;
     }
     return {};
 }

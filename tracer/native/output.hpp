@@ -31,6 +31,8 @@ class OutputFile {
     // scene: the path of the scene file, which is never overwritten, or "-". size: in bytes, must fit on the disk.
     Problem open(const std::string &path, const std::string &scene, std::int64_t size);
     Problem write(const char *data, std::size_t size);
+    // Not for what is_direct(); by any thread.
+    Problem write_at(std::int64_t place, const char *data, std::size_t size);
     Problem finish();
     // Whether what was written so far is already with its reader.
     bool is_direct() const { return temporary.empty(); }
@@ -40,6 +42,7 @@ class OutputFile {
     std::string path;
     std::string temporary;
     int descriptor = -1;
+    Problem put(const char *data, std::size_t size, std::int64_t place);
 };
 
 // All bytes of a file, "-" for stdin. At most `limit` bytes.

@@ -39,7 +39,7 @@ struct PowerConstants<float> {
 
 // ln x for a normal x > 0: x = 2^e m with m in [sqrt 1/2, sqrt 2), ln m = 2 atanh f with f = (m - 1)/(m + 1).
 template <class Real, int Width>
-WHITTED_INLINE Packet<Real, Width> natural_log(Packet<Real, Width> x) {
+WHITTED_LARGE Packet<Real, Width> natural_log(Packet<Real, Width> x) {
     using P = Packet<Real, Width>;
     using C = PowerConstants<Real>;
     using Bits = typename BitsOf<Real>::type;
@@ -66,7 +66,7 @@ WHITTED_INLINE Packet<Real, Width> natural_log(Packet<Real, Width> x) {
 
 // e^y for y <= 0; 0 where it would be below the normal numbers.
 template <class Real, int Width>
-WHITTED_INLINE Packet<Real, Width> exponential(Packet<Real, Width> y) {
+WHITTED_LARGE Packet<Real, Width> exponential(Packet<Real, Width> y) {
     using P = Packet<Real, Width>;
     using C = PowerConstants<Real>;
     const auto vanishes = y < P(C::lowest_exponent);
@@ -88,12 +88,17 @@ WHITTED_INLINE Packet<Real, Width> exponential(Packet<Real, Width> y) {
 // x^n for 0 < x <= 1, n >= 0. integer: n where it is an integer to be multiplied out, else -1.
 // Absolute error below 8 u: |y| e^y <= 1/e for y = n ln x, so that the relative error of y, about 5 u, stays absolute.
 template <class Real, int Width>
-WHITTED_INLINE Packet<Real, Width> power(Packet<Real, Width> x, Real n, int integer) {
+WHITTED_LARGE Packet<Real, Width> power(Packet<Real, Width> x, Real n, int integer) {
     using P = Packet<Real, Width>;
     if (integer >= 0) {
-        P result(Real(1));
-        for (P square = x; integer > 0; integer >>= 1, square = square * square)
+        if (integer == 0) return P(Real(1));
+        P square = x;
+        for (; !(integer & 1); integer >>= 1) square = square * square;
+        P result = square;
+        while (integer >>= 1) {
+            square = square * square;
             if (integer & 1) result = result * square;
+        }
         return result;
     }
     return exponential(P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest))));

@@ -13,6 +13,7 @@
 #include <cstring>
 #include <exception>
 #include <limits>
+#include <mutex>
 #include <new>
 #include <optional>
 #include <string>
@@ -236,6 +237,46 @@ std::string_view other_image(std::string_view path) {
     return "";
 }
 
+// To a pipe: bands of pixels, large enough for all threads, small enough that memory does not grow with the image.
+Problem write_in_order(const whitted::Renderer &renderer, std::int64_t pixels, whitted::OutputFile &file,
+                       Progress &progress) {
+    constexpr std::int64_t band_pixels = 1 << 20;
+    std::vector<unsigned char> band(static_cast<std::size_t>(3 * std::min(pixels, band_pixels)));
+    for (std::int64_t first = 0; first < pixels && !is_stopped(); first += band_pixels) {
+        const std::int64_t last = std::min(first + band_pixels, pixels);
+        const auto poll = [&](std::int64_t done) {
+            progress.update(first + done);
+            return !is_stopped();
+        };
+        if (!renderer.render(first, last, {{whitted::PassKind::beauty8, 0, band.data()}}, poll) || is_stopped()) break;
+        if (Problem problem =
+                file.write(reinterpret_cast<const char *>(band.data()), static_cast<std::size_t>(3 * (last - first))))
+            return problem;
+    }
+    return {};
+}
+
+// To a file: every thread writes what it rendered, while the others render.
+Problem write_anywhere(const whitted::Renderer &renderer, std::size_t header, whitted::OutputFile &file,
+                       Progress &progress) {
+    std::mutex failing;
+    Problem problem;
+    const auto deliver = [&](std::int64_t begin, std::int64_t end, const std::uint8_t *bytes) {
+        const Problem found =
+            file.write_at(static_cast<std::int64_t>(header) + 3 * begin, reinterpret_cast<const char *>(bytes),
+                          static_cast<std::size_t>(3 * (end - begin)));
+        if (!found) return true;
+        const std::lock_guard lock(failing);
+        problem = found;
+        return false;
+    };
+    renderer.stream(deliver, [&](std::int64_t done) {
+        progress.update(done);
+        return !is_stopped();
+    });
+    return problem;
+}
+
 int render(const Options &options, const whitted::Scene &scene) {
     const std::int64_t pixels = scene.view.columns * scene.view.rows;
     if (pixels > (std::numeric_limits<std::int64_t>::max() - 100) / 3)
@@ -257,28 +298,15 @@ int render(const Options &options, const whitted::Scene &scene) {
                                           3 * pixels + static_cast<std::int64_t>(header.size())))
         return is_stopped() ? stopped() : fail(problem);
 
-    // Bands of pixels: large enough for all threads, small enough that memory does not grow with the image.
-    constexpr std::int64_t band_pixels = 1 << 20;
-    std::vector<unsigned char> band(static_cast<std::size_t>(3 * std::min(pixels, band_pixels)));
     const whitted::Renderer renderer(scene, options.settings);
+    Progress progress(pixels);
     if (const Problem problem = file.write(header.data(), header.size()))
         return is_stopped() ? stopped(file.is_direct()) : fail(problem);
-    Progress progress(pixels);
-    for (std::int64_t first = 0; first < pixels; first += band_pixels) {
-        const std::int64_t last = std::min(first + band_pixels, pixels);
-        const auto poll = [&](std::int64_t done) {
-            progress.update(first + done);
-            return !is_stopped();
-        };
-        const bool whole = renderer.render(first, last, {{whitted::PassKind::beauty8, 0, band.data()}}, poll);
-        Problem problem;
-        if (whole && !is_stopped())
-            problem =
-                file.write(reinterpret_cast<const char *>(band.data()), static_cast<std::size_t>(3 * (last - first)));
-        if (is_stopped() || problem) {
-            progress.clear();
-            return is_stopped() ? stopped(file.is_direct()) : fail(problem);
-        }
+    if (const Problem problem = file.is_direct() ? write_in_order(renderer, pixels, file, progress)
+                                                 : write_anywhere(renderer, header.size(), file, progress);
+        problem || is_stopped()) {
+        progress.clear();
+        return is_stopped() ? stopped(file.is_direct()) : fail(problem);
     }
     progress.clear();
     if (const Problem problem = file.finish()) return fail(problem);

@@ -11,11 +11,13 @@
 #include <exception>
 #include <limits>
 #include <mutex>
+#include <numeric>
 #include <set>
 #include <system_error>
 #include <thread>
 
 #include "constants.hpp"
+#include "cuts.hpp"
 #include "light_side.hpp"
 #include "ppm.hpp"
 
@@ -23,13 +25,23 @@ namespace whitted {
 
 namespace {
 
-// A span is the part of a row that a kernel fills at a time: its planes stay in the first-level caches.
-constexpr std::int64_t span_columns = 256;
-static_assert(span_columns % widest_packet == 0);
+// A span is the part of a row that a kernel fills at a time.
+constexpr std::int64_t span_columns = widest_span;
+static_assert(widest_span % widest_packet == 0);
 // What a thread takes at a time: long enough to make the taking cheap, short enough to share the work evenly.
-constexpr std::int64_t piece = 4096;
+constexpr std::int64_t piece = 8192;
+// The same where a system call follows each time; three bytes each stay in the second-level cache.
+constexpr std::int64_t streamed_piece = 65536;
+// How often a thread asks whether to go on.
+constexpr std::int64_t pixels_to_report = 2048;
 // Below this many pixels a second thread costs more than it saves.
 constexpr std::int64_t pixels_for_a_thread = 16384;
+// How much background is copied at a time.
+constexpr std::int64_t pattern_columns = 4096;
+// Up to here the places of all columns are kept; up to here what concerns two spheres and a light, too.
+constexpr std::int64_t most_columns_kept = 1 << 17;
+constexpr std::size_t most_spheres_kept = 256;
+constexpr std::size_t most_blockers_sought = 1 << 14;
 
 struct InstructionSet {
     const Kernels *kernels;
@@ -176,7 +188,7 @@ struct Renderer::Prepared {
     Settings settings;
     virtual ~Prepared() = default;
     // Called with the number of pixels that were just finished; false: leave the rest.
-    using GoOn = std::function<bool(std::int64_t)>;
+    using GoOn = Renderer::GoOn;
     // Renders pixels begin .. end - 1, counted row by row; the targets begin with pixel `first`.
     virtual void pixels(std::int64_t begin, std::int64_t end, std::int64_t first, const std::vector<Target> &targets,
                         const GoOn &go_on) const = 0;
@@ -184,28 +196,32 @@ struct Renderer::Prepared {
 
 template <class Real>
 struct Renderer::PreparedFor final : Renderer::Prepared {
+    static constexpr double unit_roundoff = sizeof(Real) == 8 ? 0x1p-53 : 0x1p-24;
+
     std::vector<SphereConstants<Real>> spheres;
-    std::vector<LightConstants<Real>> lights;
-    std::vector<Real> light_terms;
-    std::vector<std::int8_t> light_sides;
+    std::vector<Lamp<Real>> lamps;
+    std::vector<Real> from_others;
+    std::vector<std::int32_t> everything;  // 0, 1 ..: the places of the spheres
+    std::vector<std::int32_t> blocking;
+
+    std::vector<Silhouette> silhouettes;  // empty: nothing is cut
+    std::vector<Real> columns;            // x of each column, the last one again up to a packet; empty: too many
+    std::uint8_t background8[3 * pattern_columns];
+    Grid across, down;
+    double blur;  // bound above the roundings of a place in a row, in columns
     SceneConstants<Real> scene{};
     TraceSpan<Real> trace;
 
     PreparedFor(const Scene &from, const Settings &chosen, TraceSpan<Real> kernel) : trace(kernel) {
         view = from.view;
         settings = chosen;
+        const bool cuts = settings.cuts && can_cut(from, unit_roundoff);
         const std::vector<std::size_t> distinct = from.distinct();
         const std::size_t light_count = from.lights.size();
-        light_terms.reserve(distinct.size() * light_count * 6);
-        light_sides.reserve(distinct.size() * light_count);
+        lamps.reserve(distinct.size() * light_count);
         spheres.reserve(distinct.size());
+        if (distinct.size() <= most_spheres_kept) from_others.reserve(distinct.size() * distinct.size() * 3);
 
-        for (const Light &light : from.lights) {
-            LightConstants<Real> to{};
-            std::copy(light.position.begin(), light.position.end(), to.position);
-            to.dark = light.intensity == Vec3{0, 0, 0};
-            lights.push_back(to);
-        }
         for (const std::size_t index : distinct) {
             const Sphere &sphere = from.spheres[index];
             SphereConstants<Real> to{};
@@ -232,23 +248,141 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             to.index = static_cast<std::int32_t>(index);
             to.lit = sphere.kd != 0 || sphere.ks != 0;
             to.specular = sphere.ks != 0;
-            to.light_terms = light_terms.data() + light_terms.size();
-            to.light_sides = light_sides.data() + light_sides.size();
+            to.lamps = lamps.data() + lamps.size();
             for (const Light &light : from.lights) {
-                for (const double k : {sphere.kd, sphere.ks})
-                    for (const double intensity : light.intensity)
-                        light_terms.push_back(static_cast<Real>(k * intensity));
-                light_sides.push_back(static_cast<std::int8_t>(light_side(sphere, light)));
+                Lamp<Real> lamp{};
+                for (std::size_t k = 0; k < 3; ++k) {
+                    lamp.place[k] = static_cast<Real>(light.position[k] - sphere.position[k]);
+                    lamp.diffuse[k] = static_cast<Real>(sphere.kd * light.intensity[k]);
+                    lamp.specular[k] = static_cast<Real>(sphere.ks * light.intensity[k]);
+                }
+                lamp.least_facing =
+                    cuts ? static_cast<Real>(facing_doubt(sphere, light)) : std::numeric_limits<Real>::infinity();
+                lamp.side = light_side(sphere, light);
+                lamp.adds = to.lit && light.intensity != Vec3{0, 0, 0};
+                lamps.push_back(lamp);
             }
+            if (distinct.size() <= most_spheres_kept) {
+                to.from_others = from_others.data() + from_others.size();
+                for (const std::size_t other : distinct)
+                    for (std::size_t k = 0; k < 3; ++k)
+                        from_others.push_back(static_cast<Real>(sphere.position[k] - from.spheres[other].position[k]));
+            }
+            if (cuts) silhouettes.emplace_back(sphere, view, unit_roundoff);
             spheres.push_back(to);
         }
+        find_blockers(from, distinct, cuts);
+        scene.doubt = cuts ? static_cast<Real>(256 * unit_roundoff) : std::numeric_limits<Real>::infinity();
+        scene.span_lists = cuts && distinct.size() <= most_spheres_kept;
         scene.spheres = spheres.data();
-        scene.lights = lights.data();
+
         scene.sphere_count = spheres.size();
-        scene.light_count = lights.size();
+        scene.light_count = light_count;
         narrow(scene.background, from.background);
         scene.shadow_epsilon = static_cast<Real>(settings.shadow_epsilon);
+        scene.certain_epsilon = static_cast<Real>(settings.shadow_epsilon * (1 + 64 * unit_roundoff));
         scene.max_reflections = settings.max_reflections;
+
+        for (std::size_t k = 0; k < sizeof background8; ++k) background8[k] = quantise(scene.background[k % 3]);
+        across = grid(settings.sample, true, view.columns);
+        down = grid(settings.sample, false, view.rows);
+        blur = 0x1p-10 + 16 * unit_roundoff * across.steps * std::max(std::abs(view.left), std::abs(view.right)) /
+                             (view.right - view.left);
+        if (view.columns <= most_columns_kept) {
+            columns.resize(static_cast<std::size_t>(view.columns) + widest_packet);
+            places(columns.data(), 0, view.columns);
+        }
+    }
+
+    // What is above minus this, is too near to 0 to say on which side of the surface the light is: the roundings of
+    // N.L, in the unit space of the sphere.
+    static double facing_doubt(const Sphere &sphere, const Light &light) {
+        double reach = 0;
+        double steepest = 0;
+        for (std::size_t k = 0; k < 3; ++k) {
+            const double scale = std::abs(sphere.scaling[k]);
+            reach += std::abs(light.position[k] - sphere.position[k]) + 2 * scale;
+            steepest = std::max(steepest, 1 / scale);
+        }
+        return 256 * unit_roundoff * reach * steepest;
+    }
+
+    void find_blockers(const Scene &from, const std::vector<std::size_t> &distinct, bool cuts) {
+        const std::size_t count = distinct.size();
+        const std::size_t light_count = from.lights.size();
+        everything.resize(count);
+        std::iota(everything.begin(), everything.end(), 0);
+        scene.all = {everything.data(), everything.data() + count};
+        const bool all = !cuts || count * count * light_count > most_blockers_sought;
+        std::vector<std::size_t> ends;
+        if (!all) {
+            for (const std::size_t i : distinct) {
+                const Sphere &surface = from.spheres[i];
+                const double reach = farthest_ray(surface, from);
+                for (const Light &light : from.lights) {
+                    for (std::size_t j = 0; j < count; ++j) {
+                        const Sphere &other = from.spheres[distinct[j]];
+                        if (distinct[j] != i && !cannot_block(surface, reach, light, other, unit_roundoff))
+                            blocking.push_back(static_cast<std::int32_t>(j));
+                    }
+                    ends.push_back(blocking.size());
+                }
+            }
+        }
+        std::size_t begin = 0;
+        for (std::size_t k = 0; k < count * light_count; ++k) {
+            lamps[k].blockers = all ? scene.all : SphereList{blocking.data() + begin, blocking.data() + ends[k]};
+            if (!all) begin = ends[k];
+        }
+    }
+
+    // How far from the surface, in units of its |s|, rays start: at the eye, or on a mirror.
+    static double farthest_ray(const Sphere &surface, const Scene &from) {
+        const auto distance = [&](const Vec3 &position, const Vec3 &scaling) {
+            double sum = 0;
+            for (std::size_t k = 0; k < 3; ++k)
+                sum += (std::abs(position[k] - surface.position[k]) + 2 * std::abs(scaling[k])) /
+                       std::abs(surface.scaling[k]);
+            return sum;
+        };
+        double farthest = distance({0, 0, 0}, {0, 0, 0});
+        for (const Sphere &sphere : from.spheres)
+            if (sphere.kr != 0) farthest = std::max(farthest, distance(sphere.position, sphere.scaling));
+        return farthest;
+    }
+
+    // x of columns first .. first + count - 1, and the last one again up to a packet more.
+    void places(Real *to, std::int64_t first, std::int64_t count) const {
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double c = static_cast<double>(first + k);
+            to[k] = static_cast<Real>(view.left + (view.right - view.left) * (c + across.offset) / across.steps);
+        }
+        std::fill_n(to + count, widest_packet, to[count - 1]);
+    }
+
+    // The outlines in a row at height y, cut to the columns begin .. end - 1.
+    void outline_row(Real y, std::int64_t begin, std::int64_t end, std::vector<Outline> &outlines) const {
+        outlines.clear();
+        for (std::size_t j = 0; j < spheres.size(); ++j) {
+            Outline outline{static_cast<std::int32_t>(j), begin, end};
+            if (!silhouettes.empty()) {
+                const Silhouette::Interval part = silhouettes[j].row(static_cast<double>(y));
+                if (part.is_empty()) continue;
+                const double scale = across.steps / (view.right - view.left);
+                const double low = (part.low - view.left) * scale - across.offset - blur;
+                const double high = (part.high - view.left) * scale - across.offset + blur;
+                if (low > static_cast<double>(begin)) {
+                    if (low >= static_cast<double>(end)) continue;
+                    outline.begin = static_cast<std::int64_t>(std::ceil(low));
+                }
+                if (high < static_cast<double>(end - 1)) {
+                    if (high < static_cast<double>(begin)) continue;
+                    outline.end = static_cast<std::int64_t>(std::floor(high)) + 1;
+                }
+                if (outline.begin >= outline.end) continue;
+            }
+            outlines.push_back(outline);
+        }
     }
 
     // The planes of one span and the memory behind them.
@@ -257,8 +391,14 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         std::vector<Real *> shadow;
         std::vector<Real *> reflection_order;
         Planes<Real> planes{};
+        std::vector<Outline> outlines;
+        std::vector<std::pair<std::int64_t, std::int64_t>> runs;  // the same by their beginnings
+        Real directions[span_columns + widest_packet];
+        bool only_bytes;  // nothing but the beauty in 8 bits is asked for: it needs no planes
 
-        Buffer(const std::vector<Target> &targets, std::size_t light_count, int max_reflections) {
+        Buffer(const std::vector<Target> &targets, std::size_t light_count, int max_reflections)
+            : only_bytes(std::all_of(targets.begin(), targets.end(),
+                                     [](const Target &t) { return t.kind == PassKind::beauty8; })) {
             const auto wanted = [&](PassKind kind) {
                 return std::any_of(targets.begin(), targets.end(), [&](const Target &t) { return t.kind == kind; });
             };
@@ -266,8 +406,9 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             if (wanted(PassKind::reflection_order))
                 reflection_order.resize(3 * static_cast<std::size_t>(max_reflections));
             std::set<Real **> used;  // memory only for what is asked for: there are up to 1000 bounces
-            for (const Target &target : targets)
-                for (int c = 0; c < channels(target.kind); ++c) used.insert(planes_of(target) + c);
+            if (!only_bytes)
+                for (const Target &target : targets)
+                    for (int c = 0; c < channels(target.kind); ++c) used.insert(planes_of(target) + c);
             for (Real *&plane : shadow) used.insert(&plane);  // a kernel fills those of all lights
             values.resize(used.size() * span_columns);
             Real *next = values.data();
@@ -336,32 +477,100 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         }
     }
 
+    // Where nothing is hit.
+    void fill(const Target &target, std::int64_t pixel, std::int64_t count) const {
+        const std::int64_t width = channels(target.kind);
+        if (target.kind == PassKind::beauty8) {
+            std::uint8_t *to = static_cast<std::uint8_t *>(target.data) + 3 * pixel;
+            for (std::int64_t k = 0; k < count; k += pattern_columns)
+                std::memcpy(to + 3 * k, background8,
+                            static_cast<std::size_t>(3 * std::min(pattern_columns, count - k)));
+        } else if (target.kind == PassKind::id) {
+            std::fill_n(static_cast<std::int32_t *>(target.data) + pixel, count, -1);
+        } else if (target.kind == PassKind::depth) {
+            std::fill_n(static_cast<Real *>(target.data) + pixel, count, std::numeric_limits<Real>::infinity());
+        } else if (target.kind == PassKind::beauty) {
+            Real *to = static_cast<Real *>(target.data) + 3 * pixel;
+            for (std::int64_t k = 0; k < 3 * count; ++k) to[k] = scene.background[k % 3];
+        } else {
+            std::fill_n(static_cast<Real *>(target.data) + width * pixel, width * count, Real(0));
+        }
+    }
+
+    // Traces pixels of one row that begins with pixel `row`, counted from the targets' first; y is its height.
+    void trace_run(std::int64_t row, Real y, std::int64_t begin, std::int64_t end, Buffer &buffer,
+                   const std::vector<Target> &targets, std::int64_t &finished, const GoOn &go_on, bool &stopped) const {
+        constexpr std::int64_t widest = widest_packet;
+        const std::int64_t spans = (end - begin + span_columns - 1) / span_columns;
+        const std::int64_t even = ((end - begin + spans - 1) / spans + widest - 1) / widest * widest;
+        for (std::int64_t column = begin; column < end && !stopped; column += even) {
+            const std::int64_t count = std::min(even, end - column);
+            const Real *directions = columns.data() + column;
+            if (columns.empty()) {
+                places(buffer.directions, column, count);
+                directions = buffer.directions;
+            }
+            Span<Real> span{directions,
+                            y,
+                            static_cast<Real>(-view.near_plane),
+                            column,
+                            static_cast<std::size_t>(count),
+                            buffer.outlines.data(),
+                            buffer.outlines.size(),
+                            buffer.planes,
+                            nullptr};
+            if (buffer.only_bytes) {
+                for (const Target &target : targets) {
+                    span.bytes = static_cast<std::uint8_t *>(target.data) + 3 * (row + column);
+                    trace(scene, span);
+                }
+            } else {
+                buffer.clear();
+                trace(scene, span);
+                for (const Target &target : targets) deliver(target, buffer.planes_of(target), row + column, count);
+            }
+            finished += count;
+            if (finished < pixels_to_report) continue;
+            stopped = !go_on(finished);
+            finished = 0;
+        }
+    }
+
     void pixels(std::int64_t begin, std::int64_t end, std::int64_t first, const std::vector<Target> &targets,
                 const GoOn &go_on) const override {
-        constexpr std::int64_t widest = widest_packet;
         Buffer buffer(targets, scene.light_count, settings.max_reflections);
-        alignas(64) Real directions[span_columns];
-        const Grid across = grid(settings.sample, true, view.columns);
-        const Grid down = grid(settings.sample, false, view.rows);
-        for (std::int64_t pixel = begin; pixel < end;) {
+        bool stopped = false;
+        std::int64_t finished = 0;  // and not yet reported: that costs as much as some packets
+        for (std::int64_t pixel = begin; pixel < end && !stopped;) {
             const std::int64_t row = pixel / view.columns;
-            const std::int64_t column = pixel % view.columns;
-            const std::int64_t count = std::min({span_columns, view.columns - column, end - pixel});
-            const std::int64_t padded = (count + widest - 1) / widest * widest;
-            for (std::int64_t k = 0; k < padded; ++k) {
-                const double c = static_cast<double>(column + std::min(k, count - 1));
-                directions[k] =
-                    static_cast<Real>(view.left + (view.right - view.left) * (c + across.offset) / across.steps);
-            }
+            const std::int64_t from = pixel % view.columns;
+            const std::int64_t to = std::min(view.columns, from + (end - pixel));
+            const std::int64_t start = row * view.columns - first;
             const double j = static_cast<double>(row);
-            const double y = view.top - (view.top - view.bottom) * (j + down.offset) / down.steps;
-            buffer.clear();
-            trace(scene, {directions, static_cast<Real>(y), static_cast<Real>(-view.near_plane),
-                          static_cast<std::size_t>(padded), buffer.planes});
-            for (const Target &target : targets) deliver(target, buffer.planes_of(target), pixel - first, count);
-            pixel += count;
-            if (!go_on(count)) return;
+            const Real y = static_cast<Real>(view.top - (view.top - view.bottom) * (j + down.offset) / down.steps);
+            outline_row(y, from, to, buffer.outlines);
+            buffer.runs.clear();
+            for (const Outline &outline : buffer.outlines) buffer.runs.emplace_back(outline.begin, outline.end);
+            std::sort(buffer.runs.begin(), buffer.runs.end());
+            std::size_t next = 0;
+            // From run to run: what is covered by the outlines, and what lies between.
+            for (std::int64_t column = from; column < to && !stopped;) {
+                const std::int64_t run = next < buffer.runs.size() ? buffer.runs[next].first : to;
+                if (run > column) {
+                    for (const Target &target : targets) fill(target, start + column, run - column);
+                    finished += run - column;
+                    column = run;
+                    continue;
+                }
+                std::int64_t run_end = run;
+                for (; next < buffer.runs.size() && buffer.runs[next].first <= run_end; ++next)
+                    run_end = std::max(run_end, buffer.runs[next].second);
+                trace_run(start, y, column, run_end, buffer, targets, finished, go_on, stopped);
+                column = run_end;
+            }
+            pixel += to - from;
         }
+        go_on(finished);
     }
 };
 
@@ -380,6 +589,37 @@ Renderer::~Renderer() { delete prepared; }
 
 bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<Target> &targets,
                       const Poll &poll) const {
+    const auto worker = [&]() -> Piece {
+        return [&](std::int64_t begin, std::int64_t end, const GoOn &go_on) {
+            prepared->pixels(begin, end, first, targets, go_on);
+            return true;
+        };
+    };
+    return share(first, last, piece, worker, poll);
+}
+
+bool Renderer::stream(const Deliver &deliver, const Poll &poll) const {
+    const std::int64_t pixels = prepared->view.columns * prepared->view.rows;
+    // Eight pieces a processor share the work of a small image evenly.
+    const std::int64_t processors = std::max(1U, std::thread::hardware_concurrency());
+    const std::int64_t size = std::clamp(pixels / (8 * processors), piece, streamed_piece);
+    const auto worker = [&]() -> Piece {
+        return [&, bytes = std::vector<std::uint8_t>(static_cast<std::size_t>(3 * std::min(size, pixels)))](
+                   std::int64_t begin, std::int64_t end, const GoOn &go_on) mutable {
+            std::int64_t done = 0;
+            const GoOn count = [&](std::int64_t more) {
+                done += more;
+                return go_on(more);
+            };
+            prepared->pixels(begin, end, begin, {{PassKind::beauty8, 0, bytes.data()}}, count);
+            return done == end - begin && deliver(begin, end, bytes.data());
+        };
+    };
+    return share(0, pixels, size, worker, poll);
+}
+
+bool Renderer::share(std::int64_t first, std::int64_t last, std::int64_t size, const std::function<Piece()> &worker,
+                     const Poll &poll) const {
     using Clock = std::chrono::steady_clock;
     constexpr auto poll_interval = std::chrono::milliseconds(50);
     std::atomic<std::int64_t> next{first};
@@ -400,10 +640,11 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
             return !stopped.load(std::memory_order_relaxed);
         };
         try {
+            const Piece render_piece = worker();
             while (!stopped.load(std::memory_order_relaxed)) {
-                const std::int64_t begin = next.fetch_add(piece, std::memory_order_relaxed);
+                const std::int64_t begin = next.fetch_add(size, std::memory_order_relaxed);
                 if (begin >= last) return;
-                prepared->pixels(begin, std::min(begin + piece, last), first, targets, go_on);
+                if (!render_piece(begin, std::min(begin + size, last), go_on)) stopped = true;
             }
         } catch (...) {  // out of memory: the calling thread says so once all have come to an end
             const std::lock_guard lock(failing);
@@ -417,7 +658,7 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
         threads = std::min<std::int64_t>(std::max(1U, std::thread::hardware_concurrency()),
                                          std::max<std::int64_t>(1, (last - first) / pixels_for_a_thread));
     }
-    threads = std::min<std::int64_t>({threads, (last - first + piece - 1) / piece, most_threads});
+    threads = std::min<std::int64_t>({threads, (last - first + size - 1) / size, most_threads});
     std::vector<std::thread> helpers;
     helpers.reserve(static_cast<std::size_t>(threads));
     try {

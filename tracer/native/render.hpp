@@ -24,6 +24,7 @@ struct Settings {
     Sample sample = Sample::corner;
     double shadow_epsilon = 1e-4;
     int max_reflections = 3;
+    bool cuts = true;  // leave out what cannot change a bit of the result; off only to test that
 };
 
 // More bounces than any mirror of Kr < 0.99 shows in float64.
@@ -61,6 +62,10 @@ std::size_t value_size(PassKind kind, Precision precision);
 // Called in the calling thread about every 50 ms with the number of pixels done; false stops the rendering.
 using Poll = std::function<bool(std::int64_t)>;
 
+// Called by the threads that render, in any order, with finished pixels begin .. end - 1 of the beauty in 8 bits; false
+// stops the rendering.
+using Deliver = std::function<bool(std::int64_t begin, std::int64_t end, const std::uint8_t *bytes)>;
+
 // The name of the instruction set in use, or "" when WHITTED_ISA asks for one that is unknown or that this processor
 // lacks; then `problem` says so.
 std::string instruction_set(std::string &problem);
@@ -81,10 +86,20 @@ class Renderer {
     // denormal modes of the calling thread play no part and are left as they were.
     bool render(std::int64_t first, std::int64_t last, const std::vector<Target> &targets, const Poll &poll) const;
 
+    // The beauty in 8 bits of the whole image, piece by piece, in little memory. False when poll or deliver stopped it.
+    bool stream(const Deliver &deliver, const Poll &poll) const;
+
   private:
     struct Prepared;
     template <class Real>
     struct PreparedFor;
+    // Told of finished pixels; false: leave the rest.
+    using GoOn = std::function<bool(std::int64_t)>;
+    // Renders pixels begin .. end - 1; false: leave the rest.
+    using Piece = std::function<bool(std::int64_t begin, std::int64_t end, const GoOn &go_on)>;
+    // Shares the pixels among the threads, each with a worker of its own.
+    bool share(std::int64_t first, std::int64_t last, std::int64_t size, const std::function<Piece()> &worker,
+               const Poll &poll) const;
     Prepared *prepared;
 };
 

@@ -4,6 +4,7 @@
 // can be linked into another's path, and no vector crosses a call.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #if defined(__SSE2__)
@@ -13,6 +14,12 @@
 #endif
 
 #define WHITTED_INLINE __attribute__((always_inline)) inline
+// Large functions: the checks of a sanitizer make them too large to compile in one piece.
+#if defined(__SANITIZE_ADDRESS__)
+#define WHITTED_LARGE __attribute__((noinline))
+#else
+#define WHITTED_LARGE WHITTED_INLINE
+#endif
 
 namespace whitted {
 namespace {
@@ -171,7 +178,18 @@ struct Packet {
             return {a.v <= b.v};
     }
     friend WHITTED_INLINE Lanes operator>=(Packet a, Packet b) { return b <= a; }
-    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) { return (a <= b) & (b <= a); }
+    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) {
+#if defined(__AVX512F__)
+        if constexpr (has_mask_register<Real, Width>) {
+            if constexpr (sizeof(Real) == 8) {
+                return {_mm512_cmp_pd_mask(a.v, b.v, _CMP_EQ_OQ)};
+            } else {
+                return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_EQ_OQ)};
+            }
+        } else
+#endif
+            return {a.v == b.v};
+    }
 
   private:
     WHITTED_INLINE static Native broadcast(Real x) {
@@ -260,6 +278,50 @@ WHITTED_INLINE Packet<Real, Width> maximum(Packet<Real, Width> a, Packet<Real, W
 template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> absolute(Packet<Real, Width> a) {
     return select(a < Packet<Real, Width>(Real(0)), -a, a);
+}
+
+// Red, green and blue of 8 bits in one word, from whole numbers 0 .. 255 with any fraction, which is cut off.
+template <class Real, int Width>
+WHITTED_INLINE void store_words(std::int32_t *to, Packet<Real, Width> r, Packet<Real, Width> g, Packet<Real, Width> b) {
+    if constexpr (Width == 1) {
+        *to =
+            static_cast<std::int32_t>(r.v) | static_cast<std::int32_t>(g.v) << 8 | static_cast<std::int32_t>(b.v) << 16;
+    } else {
+        using Words = typename Vector<std::int32_t, Width>::type;
+        const Words words = __builtin_convertvector(r.v, Words) | __builtin_convertvector(g.v, Words) << 8 |
+                            __builtin_convertvector(b.v, Words) << 16;
+        __builtin_memcpy(to, &words, sizeof(words));
+    }
+}
+
+// The lower three bytes of each word, one after the other. `words` may be read up to the next multiple of 16.
+WHITTED_INLINE void pack_words(std::uint8_t *to, const std::int32_t *words, std::size_t count) {
+    std::size_t k = 0;
+#if defined(__AVX512BW__)
+    const __m512i low_three = _mm512_maskz_broadcast_i32x4(
+        __mmask16(~0), _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
+    const __m512i together = _mm512_setr_epi32(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 3, 7, 11, 15);
+    for (; k < count; k += 16) {
+        const __m512i bytes = _mm512_maskz_permutexvar_epi32(
+            __mmask16(0x0fff), together,
+            _mm512_shuffle_epi8(_mm512_loadu_si512(static_cast<const void *>(words + k)), low_three));
+        const std::size_t left = 3 * (count - k);
+        _mm512_mask_storeu_epi8(to + 3 * k, left < 48 ? (__mmask64(1) << left) - 1 : (__mmask64(1) << 48) - 1, bytes);
+    }
+#elif defined(__AVX2__)
+    const __m256i low_three =
+        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
+    const __m256i together = _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 3, 7);
+    for (; k + 11 <= count; k += 8) {  // 32 bytes are written, of which 24 count
+        const __m256i four = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(words + k));
+        _mm256_storeu_si256(reinterpret_cast<__m256i *>(to + 3 * k),
+                            _mm256_permutevar8x32_epi32(_mm256_shuffle_epi8(four, low_three), together));
+    }
+#endif
+    for (; k + 2 <= count; ++k) __builtin_memcpy(to + 3 * k, words + k, 4);  // the fourth byte is overwritten
+    for (; k < count; ++k)
+        for (int c = 0; c < 3; ++c)
+            to[3 * k + static_cast<std::size_t>(c)] = static_cast<std::uint8_t>(words[k] >> 8 * c);
 }
 
 // The bit pattern of a packet as integers, and back.
