@@ -601,6 +601,10 @@ class Stability(Outcome):
         silent = self.silent_from(ladder, renderer, standard)
         return f"({silent})" if silent else "-"
 
+    def drawing(self, renderer: str) -> float:
+        """The seconds that it took to draw all of it."""
+        return sum(rung.steps[renderer].seconds for rung in self.rungs.values() if renderer in rung.steps)
+
     def end(self, ladder: Ladder, renderer: str) -> int:
         """How many rungs a renderer climbs: until it breaks, or no pixel is left to hold it to, as a careful one."""
         found = self.breaks(ladder, renderer, "careful")
@@ -633,7 +637,10 @@ class Stability(Outcome):
                 "versions": self.versions,
                 "interrupted": self.interrupted,
                 "seconds": self.seconds,
-                "renderers": [{"name": name, "precision": self.precisions[name]} for name in self.tested],
+                "renderers": [
+                    {"name": name, "precision": self.precisions[name], "seconds": self.drawing(name)}
+                    for name in self.tested
+                ],
                 "ladders": [self._ladder(ladder) for ladder in self.ladders],
                 "outlasted": [
                     {"ladder": ladder.name, "renderer": ours, "by": other} for ladder, ours, other in self.outlasted()
@@ -782,6 +789,7 @@ def print_stability(result: Stability) -> None:
         click.echo("-: holds to the end; (1e5): from there on its claim excuses every pixel; !1e5: it failed there")
         click.echo("breaks: a decision wrong above the margin, a colour off by more than its tolerance, NaN or Inf")
         click.echo("64 u: decisions above that margin; colours too where the format is float64 or float32 throughout")
+        click.echo("seconds of drawing: " + ", ".join(f"{name} {result.drawing(name):.2g}" for name in result.tested))
     broken = [
         (ladder, name, found)
         for name in result.tested

@@ -52,20 +52,22 @@ def cells(result: Stability, standard: str = "own") -> dict[str, str]:
 # ---- what holds
 
 
-def test_our_kernels_take_no_decision_wrong_above_64_roundings_and_draw_no_nan() -> None:
-    # Two rungs of every ladder; `whitted stability` climbs them all.
-    ladders = [dataclasses.replace(ladder, rungs=(ladder.rungs[0], ladder.rungs[-1])) for ladder in LADDERS]
-    result = climbed(ladders, "native-f64", "native-f32")
-    assert (result.status, result.failures) == (0, [])
-    for ladder in ladders:
-        for name in result.tested:
-            for _, step in result.steps(ladder, name):
-                assert step is not None
-                assert step.not_numbers == 0
-                if not step.refused:
-                    assert step.careful is not None
-                    assert (step.careful.wrong, step.own) == (0, step.careful)
-    assert not list(result.outlasted())
+#: What breaks, and why that is known: the discriminant in float32 across a plate that thin.
+KNOWN = {("flat-along", "native-f32", "1e7")}
+
+
+@pytest.mark.parametrize("ladder", LADDERS, ids=names())
+def test_our_kernels_hold_above_64_roundings_and_draw_no_nan(ladder: Ladder) -> None:
+    result = climbed([ladder], "native-f64", "native-f32")
+    assert result.failures == []
+    for name in result.tested:
+        for rung, step in result.steps(ladder, name):
+            assert step is not None
+            assert step.own == step.careful  # for our own renderers the two claims are one
+            assert step.not_numbers == 0
+            assert not step.broken("own") or (ladder.name, name, rung) in KNOWN, step.says("own")
+            # Only what the specification has outside of float32's range is refused.
+            assert not step.refused or (name == "native-f32" and "1e15" in step.refused), step.refused
 
 
 def test_every_pixel_of_a_rung_is_proved() -> None:
