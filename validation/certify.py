@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from flint import arb, ctx
+from flint import arb, ctx, fmpq
 from numpy.typing import NDArray
 
 from tracer.margins import EDGE_ROUNDINGS
@@ -50,7 +50,7 @@ from validation.terminal import (
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
-    from tracer import Light, Scene
+    from tracer import Scene
     from tracer.margins import Analysis
     from validation.truth import Truth
 
@@ -137,7 +137,7 @@ def prove_scene(
             unsettled[place] = any(not tie.settled for tie in truth.ties)
             if truth.id >= 0:
                 for light, mask in zip(scene.lights, lit, strict=True):
-                    mask[place] = _faces(truth, light)
+                    mask[place] = faces(truth, light.position)
     if not had.any():
         raise UnprovedError("no pixel could be proved")
     x, y = (np.array([pixel[k] for pixel in every], dtype=np.intp)[had] for k in (0, 1))
@@ -162,9 +162,9 @@ def prove_scene(
     )
 
 
-def _faces(truth: Truth, light: Light) -> bool:
-    """Whether N.L > 0 where a pixel's ray hits; where it is 0, and its ball holds 0, it is not."""
-    terms = zip(truth.values["normal"], truth.values["position"], light.position, strict=True)
+def faces(truth: Truth, light: Iterable[float | fmpq]) -> bool:
+    """Whether N.L > 0 where a pixel's ray hits, of a light in that place; where it is 0, and its ball holds 0, not."""
+    terms = zip(truth.values["normal"], truth.values["position"], light, strict=True)
     with ctx.workprec(4 * BITS):
         return bool(sum((n.arb() * (arb(p) - x.arb()) for n, x, p in terms), arb(0)) > 0)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tracer.passes import write_beside
+from validation.ladders import SIDE
 
 if TYPE_CHECKING:
     from validation.ladders import Ladder
@@ -66,9 +67,9 @@ def _figure(result: Stability, ladder: Ladder) -> Any:
     error.set_yscale("log")
     error.set_ylabel("largest error\n/ brightest")
     wrong.set_yscale("symlog", linthresh=1)
-    wrong.set_ylim(bottom=0)
+    wrong.set_ylim(0, 1.25 * SIDE * SIDE)
     wrong.set_ylabel("wrong\ndecisions")
-    held.set_ylim(bottom=0)
+    held.set_ylim(0, 1.05 * SIDE * SIDE)
     held.set_ylabel("pixels held")
     held.set_xticks(places, ladder.rungs)
     held.set_xlabel(ladder.parameter)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -124,7 +125,7 @@ class Step:
     def silent(self, standard: str) -> bool:
         """Whether there is no pixel of `beauty` to hold it to."""
         found = self.of(standard)
-        return not self.failed and not self.broken(standard) and (found is None or found.colors == 0)
+        return not self.failed and (found is None or found.colors == 0)
 
     def says(self, standard: str) -> str:
         """What is wrong, in words."""
@@ -282,8 +283,14 @@ class Shaker:
                 size = delta * length / float(np.linalg.norm(way))
                 turn = (rational(way[0] * size), rational(way[1] * size), rational(way[2] * size))
                 with contextlib.suppress(*NOWHERE):
-                    truth = self.prover.with_numbers(numbers.changed(change), turn).pixel(x, y, ties=False)
-                    found.append({name: [ball.value for ball in balls] for name, balls in truth.values.items()})
+                    changed = numbers.changed(change)
+                    truth = self.prover.with_numbers(changed, turn).pixel(x, y, ties=False)
+                    values = {name: [ball.value for ball in balls] for name, balls in truth.values.items()}
+                    for light in range(len(self.prover.scene.lights)):
+                        # A light that the surface does not face is neither hidden nor not.
+                        if not certify.faces(truth, changed.vector(f"l{light}.position")):
+                            values[f"shadow.L{light}"] = [math.nan]
+                    found.append(values)
             self.seen[x, y, delta] = found
         return self.seen[x, y, delta]
 
@@ -601,15 +608,21 @@ class Stability(Outcome):
         silent = self.silent_from(ladder, renderer, standard)
         return f"({silent})" if silent else "-"
 
+    def short(self, renderer: str) -> str:
+        """A name without its variant, where no other variant takes part."""
+        base = renderer.partition("@")[0]
+        alone = sum(name.partition("@")[0] == base for name in self.tested) == 1
+        return base if alone and not renderer.startswith("cmd:") else renderer
+
     def drawing(self, renderer: str) -> float:
         """The seconds that it took to draw all of it."""
         return sum(rung.steps[renderer].seconds for rung in self.rungs.values() if renderer in rung.steps)
 
     def end(self, ladder: Ladder, renderer: str) -> int:
         """How many rungs a renderer climbs: until it breaks, or no pixel is left to hold it to, as a careful one."""
-        found = self.breaks(ladder, renderer, "careful")
-        last = found[0] if found else self.silent_from(ladder, renderer, "careful")
-        return ladder.rungs.index(last) if last else len(ladder.rungs)
+        found, silent = self.breaks(ladder, renderer, "careful"), self.silent_from(ladder, renderer, "careful")
+        ends = [ladder.rungs.index(rung) for rung in (found[0] if found else None, silent) if rung]
+        return min(ends, default=len(ladder.rungs))
 
     def outlasted(self) -> Iterator[tuple[Ladder, str, str]]:
         """Our kernels, and who of the same format goes on where they end."""
@@ -805,7 +818,8 @@ def print_stability(result: Stability) -> None:
         click.echo("  hint: --write DIR keeps the scenes, for `whitted explain`")
     for ladder, ours, other in result.outlasted():
         end = ladder.rungs[result.end(ladder, ours)]
-        how = "breaks" if result.breaks(ladder, ours, "careful") else "says nothing"
+        broken_there = (result.breaks(ladder, ours, "careful") or [""])[0] == end
+        how = "breaks" if broken_there else "says nothing"
         click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
@@ -820,7 +834,9 @@ def _print_table(result: Stability, standard: str, title: str) -> None:
 
     out = console()
     out.print(title, style="bold", markup=False)
-    cells = {name: [result.cell(ladder, name, standard) for ladder in result.ladders] for name in result.tested}
+    cells = {
+        result.short(name): [result.cell(ladder, name, standard) for ladder in result.ladders] for name in result.tested
+    }
     first = (
         max(len(ladder.name) for ladder in result.ladders) + 2 + max(len(ladder.rungs[-1]) for ladder in result.ladders)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import time
@@ -240,6 +241,13 @@ def test_shakes_are_the_same_for_ever() -> None:
     assert {values["id"][0] for values in one} == {-1.0, 0.0}
 
 
+def test_names_are_short_where_that_is_clear() -> None:
+    result = climbed([rungs("narrow", "1e-1")], "native-f64")
+    result.tested = ("native-f64", "mitsuba-path@llvm", "mitsuba-spec@llvm", "mitsuba-spec@scalar", "cmd:mine a@b")
+    shown = [result.short(name) for name in result.tested]
+    assert shown == ["native-f64", "mitsuba-path", "mitsuba-spec@llvm", "mitsuba-spec@scalar", "cmd:mine a@b"]
+
+
 # ---- what goes wrong
 
 
@@ -305,7 +313,7 @@ def test_processes_find_what_this_one_finds() -> None:
 def test_the_record_is_strict_json_and_says_all(tmp_path: Path) -> None:
     result = climbed(["speck", rungs("flat-along", "1e7")], "native-f32", Double(draw=with_patch(chord=textbook)))
     record = result.record()
-    assert strict(climbing_json(record)) == record
+    assert strict(json.dumps(record, allow_nan=False)) == record
     speck, flat = record["ladders"]
     assert (speck["name"], speck["parameter"]) == ("speck", "radius in pixels")
     assert [entry["rung"] for entry in speck["rungs"]] == list(get("speck").rungs)
@@ -325,12 +333,6 @@ def test_the_record_is_strict_json_and_says_all(tmp_path: Path) -> None:
         assert pictures[0] == pictures[1]
         assert ElementTree.fromstring(pictures[0]).tag.endswith("svg")
         assert f'src="{name}.svg"' in page.read_text()
-
-
-def climbing_json(record: Any) -> str:
-    import json
-
-    return json.dumps(record, allow_nan=False)
 
 
 def test_the_command(run: Any, tmp_path: Path, monkeypatch: Any) -> None:
