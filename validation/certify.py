@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from flint import arb, ctx
+from flint import arb, ctx, fmpq
 from numpy.typing import NDArray
 
 from tracer.margins import EDGE_ROUNDINGS
@@ -50,7 +50,7 @@ from validation.terminal import (
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
-    from tracer import Light, Scene
+    from tracer import Scene
     from tracer.margins import Analysis
     from validation.truth import Truth
 
@@ -137,7 +137,7 @@ def prove_scene(
             unsettled[place] = any(not tie.settled for tie in truth.ties)
             if truth.id >= 0:
                 for light, mask in zip(scene.lights, lit, strict=True):
-                    mask[place] = _faces(truth, light)
+                    mask[place] = faces(truth, light.position)
     if not had.any():
         raise UnprovedError("no pixel could be proved")
     x, y = (np.array([pixel[k] for pixel in every], dtype=np.intp)[had] for k in (0, 1))
@@ -162,9 +162,9 @@ def prove_scene(
     )
 
 
-def _faces(truth: Truth, light: Light) -> bool:
-    """Whether N.L > 0 where a pixel's ray hits; where it is 0, and its ball holds 0, it is not."""
-    terms = zip(truth.values["normal"], truth.values["position"], light.position, strict=True)
+def faces(truth: Truth, light: Iterable[float | fmpq]) -> bool:
+    """Whether N.L > 0 where a pixel's ray hits, of a light in that place; where it is 0, and its ball holds 0, not."""
+    terms = zip(truth.values["normal"], truth.values["position"], light, strict=True)
     with ctx.workprec(4 * BITS):
         return bool(sum((n.arb() * (arb(p) - x.arb()) for n, x, p in terms), arb(0)) > 0)
 
@@ -368,14 +368,14 @@ def hold(
         if row.quantity == "visibility":
             compared &= proof.lit[int(name.removeprefix("shadow.L"))]
         values = np.asarray(drawn[name][at], dtype=np.float64).reshape(len(counted), -1)
-        differences = _errors(values, proof, name)
+        differences = errors(values, proof, name)
         error = differences.max(axis=-1)
         if row.quantity == "normal":
             error = np.sqrt(np.square(differences).sum(axis=-1))
         edges = judge.edge(name)
         edge_pixels = max(edge_pixels, int(edges.sum()))
         edge = edges[at]
-        tolerance = _bound(judge, name)[at]
+        tolerance = bound(judge, name)[at]
         over = compared & ~(error <= tolerance)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             ratio = np.where(error == 0, 0.0, error / tolerance)
@@ -393,7 +393,7 @@ def hold(
             )
         )
         wrong |= over
-        margin, claim = _margins(judge, name, at)
+        margin, claim = margins(judge, name, at)
         for place in np.flatnonzero(over):
             channel = int(differences[place].argmax())
             misses.append(
@@ -439,7 +439,7 @@ def hold(
     )
 
 
-def _bound(judge: Judge, name: str) -> Array:
+def bound(judge: Judge, name: str) -> Array:
     """The tolerance of every pixel of the image.
 
     That of an edge pixel is the largest of its own and its neighbours': whichever way it is decided, the error of that
@@ -453,7 +453,7 @@ def _bound(judge: Judge, name: str) -> Array:
     return np.where(edge, np.where(around < 0, largest, around), tolerance)
 
 
-def _errors(values: Array, proof: Proof, name: str) -> Array:
+def errors(values: Array, proof: Proof, name: str) -> Array:
     """Upper bounds of |drawn - exact| by channel: infinite for what is no number."""
     difference = metrics.difference(values, proof.value[name])
     finite = np.isfinite(values) & np.isfinite(proof.value[name])
@@ -465,7 +465,7 @@ def _errors(values: Array, proof: Proof, name: str) -> Array:
     return np.where(np.isnan(found), np.inf, found)
 
 
-def _margins(judge: Judge, name: str, at: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[Array, Array]:
+def margins(judge: Judge, name: str, at: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[Array, Array]:
     """Of pixels: the smallest margin behind a pass, and the smallest margin over the renderer's uncertainty."""
     behind = {kind: margin[at] for kind, margin in judge.analysis.behind(name).items()}
     margin, claim = (np.full(len(at[0]), math.inf) for _ in range(2))

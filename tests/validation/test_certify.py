@@ -301,7 +301,7 @@ def test_errors_are_those_of_the_balls(proof: Proof) -> None:
     prover = Prover(proof.scene)
     for name in ("beauty", "position", "specular", "depth", "id"):
         values = np.asarray(drawn[name], dtype=float)[proof.y, proof.x].reshape(len(proof.x), -1)
-        errors = certify._errors(values, proof, name)
+        errors = certify.errors(values, proof, name)
         for place in range(0, len(proof.x), 7):
             balls = prover.pixel(int(proof.x[place]), int(proof.y[place])).values[name]
             expected = [ball.error(float(value)) for ball, value in zip(balls, values[place], strict=True)]

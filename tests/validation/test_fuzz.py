@@ -381,7 +381,6 @@ def test_the_command(run: Any, tmp_path: Path) -> None:
 
 #: The command line, what its error says, and what its hint says.
 WRONG = {
-    "nothing": ("", "nothing to do", "whitted stability --fuzz 100 draws 100 random scenes"),
     "none": ("--fuzz 0", "'0' is not a whole number from 1 on", "see `whitted stability --help`"),
     "seed": ("--fuzz 1 --seed x", "'x' is not a whole number from 0 on", "see `whitted stability --help`"),
     "renderer": ("--fuzz 1 --renderer nativ-f32", "unknown renderer 'nativ-f32'", "did you mean 'native-f32'?"),
