@@ -368,7 +368,7 @@ def hold(
         if row.quantity == "visibility":
             compared &= proof.lit[int(name.removeprefix("shadow.L"))]
         values = np.asarray(drawn[name][at], dtype=np.float64).reshape(len(counted), -1)
-        differences = _errors(values, proof, name)
+        differences = errors(values, proof, name)
         error = differences.max(axis=-1)
         if row.quantity == "normal":
             error = np.sqrt(np.square(differences).sum(axis=-1))
@@ -453,7 +453,7 @@ def _bound(judge: Judge, name: str) -> Array:
     return np.where(edge, np.where(around < 0, largest, around), tolerance)
 
 
-def _errors(values: Array, proof: Proof, name: str) -> Array:
+def errors(values: Array, proof: Proof, name: str) -> Array:
     """Upper bounds of |drawn - exact| by channel: infinite for what is no number."""
     difference = metrics.difference(values, proof.value[name])
     finite = np.isfinite(values) & np.isfinite(proof.value[name])
