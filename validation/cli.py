@@ -1094,7 +1094,7 @@ def stability(
 @click.option(
     "--limit",
     type=float,
-    default=170.0,
+    default=160.0,
     show_default=True,
     callback=positive,
     metavar="S",

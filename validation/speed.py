@@ -46,7 +46,7 @@ SCENES, OTHERWISE = ("scenes/gallery/fifth.txt", "scenes/gallery/full.txt"), "sc
 PIXELS = 400 * 400
 #: Proved pixels: chosen at random, and with the smallest margins.
 RANDOM, EDGES = 400, 50
-ROUNDS, SECONDS, LIMIT = 15, 1.0, 170.0
+ROUNDS, SECONDS, LIMIT = 15, 1.0, 160.0
 #: A picture within a round is drawn again and again for so long, so that the clock can tell it.
 BURST, MOST_IN_BURST = 0.02, 20
 #: Fewer pictures than that have no quartiles.
@@ -423,6 +423,7 @@ class _Running:
     scene: Scene
     process: Process
     cold: float
+    first: float
     picture: Passes
     samples: list[float] = field(default_factory=list)
     busy: list[float] = field(default_factory=list)
@@ -500,22 +501,21 @@ class _SceneRun:
         if not surveyed:
             return
         proofs: dict[tuple[int, int], Proof] = {}
-        for _, _, at in surveyed:
-            if at not in proofs:
-                self.say(f"{self.label}: proving pixels at {at[0]}x{at[1]}")
-                small = resized(scene, at)
-                proofs[at] = prove_scene(small, self.settings, pixels=pixels, edges=edges, seed=seed, jobs=jobs)
-                found.unproved += len(proofs[at].unproved)
         with ExitStack() as stack:
             running: list[_Running] = []
             for place, (entry, asked, at) in enumerate(surveyed):
-                self.say(f"{self.label}: {entry.name}, {threads(entry.threads)}: first picture")
-                # The warm pictures need their time as well.
-                reserve = (seconds + BURST) * (len(running) + 1)
-                if time.perf_counter() + reserve > self.end and running:
+                # The warm pictures of those that run already need their time as well, hardly more than the first took.
+                reserve = sum(max(LEAST_RUNS * one.first, min(seconds, rounds * BURST)) for one in running)
+                if running and time.perf_counter() + reserve > self.end:
                     for late, _, _ in surveyed[place:]:
                         self.leave_out(late, "the time was up: --limit gives more")
                     break
+                if at not in proofs:
+                    self.say(f"{self.label}: proving pixels at {at[0]}x{at[1]}")
+                    small = resized(scene, at)
+                    proofs[at] = prove_scene(small, self.settings, pixels=pixels, edges=edges, seed=seed, jobs=jobs)
+                    found.unproved += len(proofs[at].unproved)
+                self.say(f"{self.label}: {entry.name}, {threads(entry.threads)}: first picture")
                 if opened := self.start(stack, entry, asked, at):
                     running.append(opened)
             self.warm(running, rounds, seconds)
@@ -599,7 +599,9 @@ class _SceneRun:
         except WorkerError as error:
             self.fail(entry, str(error))
             return None
-        return _Running(entry, resized(self.scene, at), opened, cold, Passes.load(folder / "picture.npz"))
+        return _Running(
+            entry, resized(self.scene, at), opened, cold, first["seconds"], Passes.load(folder / "picture.npz")
+        )
 
     def warm(self, running: list[_Running], rounds: int, seconds: float) -> None:
         """Pictures in turns, in another order every round."""
@@ -621,10 +623,9 @@ class _SceneRun:
                 except WorkerError as error:
                     self.fail(one.entry, str(error))
                     running.remove(one)
-        for one in running:
-            if one.samples and len(one.samples) < LEAST_RUNS:
-                few = f"{len(one.samples)} warm picture{'s'[: len(one.samples) > 1]}, no more: the time was up"
-                self.leave_out(one.entry, few)
+        if few := sum(0 < len(one.samples) < LEAST_RUNS for one in running):
+            reason = f"{few} have fewer than {LEAST_RUNS} warm pictures: the time was up: --limit gives more"
+            self.result.left_out.append(Note(self.label, "", reason))
 
 
 def panels(result: Speed) -> list[Panel]:

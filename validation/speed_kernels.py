@@ -169,7 +169,7 @@ def _view() -> View:
 def _sphere(k: int, count: int, kr: float = 0.0) -> Sphere:
     """One of `count` along a spiral, a little behind one another; together they have always the same area."""
     radius, angle = 8 * math.sqrt((k + 0.5) / count), k * math.pi * (3 - math.sqrt(5))
-    size = _short(5.0 / math.sqrt(count))
+    size = _short(8.0 / math.sqrt(count))
     return Sphere(
         name=f"s{k}",
         position=(_short(radius * math.cos(angle)), _short(radius * math.sin(angle)), _short(-12 - 3 * (k % 7) / 7)),
@@ -348,13 +348,17 @@ def kernels(
     size: tuple[int, int] | None = None,
     sizes: Sequence[int] = SIZES,
     counts: Sequence[int] = COUNTS,
+    edge: int = 1000,
     seconds: float = SECONDS,
     progress: Callable[[str], None] | None = None,
 ) -> Kernels:
-    """Measure the kernels on a scene, and on scenes with many spheres and lights. `seconds`: for each kind, about."""
+    """Measure the kernels on a scene, and on scenes with many spheres and lights.
+
+    `size`: where instruction sets are compared; `edge`: columns and rows where threads are; `seconds`: for each kind,
+    about.
+    """
     start, result, settings = time.perf_counter(), Kernels(label), settings or Settings()
-    edge = math.isqrt(PIXELS)
-    standard = resized(scene, size or (edge, edge), limits=False)
+    standard = resized(scene, size or (math.isqrt(PIXELS),) * 2, limits=False)
     every = len(processors())
     with ExitStack() as stack:
         bench = _Bench(stack, result, progress or (lambda _: None), seconds)
@@ -393,7 +397,7 @@ def kernels(
         use = dict.fromkeys([2**k for k in range(every.bit_length()) if 2**k <= every] + [every])
         bench.measure(
             [
-                _Task("threads", n, best, precision, n, resized(scene, (1000, 1000), limits=False), settings)
+                _Task("threads", n, best, precision, n, resized(scene, (edge, edge), limits=False), settings)
                 for precision in PRECISIONS
                 for n in use
             ]

@@ -30,6 +30,7 @@ HEADINGS = {
     "renderer": True,
     "threads": True,
     "size": False,
+    "n": False,
     "warm ms": True,
     "quartiles": False,
     "min": False,
@@ -42,21 +43,21 @@ HEADINGS = {
     "edge max": False,
     "edge RMSE": False,
     "wrong": True,
-    "levels off": False,
+    "levels": False,
 }
 LEGEND = (
     "front: nobody else is both quicker and nearer to the truth (RMSE)",
-    "warm: a picture in a process that has drawn before, median; cold: a new process with its first picture",
+    "warm: a picture in a process that has drawn before, median of n; cold: a new process with its first picture",
     "cpu: processor time of a warm picture, of all processors: less than warm where others kept them busy",
     "max, RMSE: error of beauty at random proved pixels; edge: at those nearest to a decision",
     "wrong: of all of these pixels, those with another primary hit or shadow",
-    "levels off: random pixels with another byte, and by how much at most",
+    "levels: random pixels with another byte, and by how much at most",
 )
 
 
 def times(seconds: float) -> str:
     """Milliseconds, three digits."""
-    return f"{seconds * 1e3:.3g}"
+    return plain(seconds * 1e3)
 
 
 def plain(value: float) -> str:
@@ -73,6 +74,7 @@ def cells(one: Measured) -> list[str]:
         one.entry.name,
         str(one.entry.threads),
         f"{one.size[0]}x{one.size[1]}",
+        str(warm.runs),
         times(warm.median),
         f"{times(warm.lower)}-{times(warm.upper)}",
         times(warm.least),
@@ -132,12 +134,14 @@ def _print_scene(scene: SceneSpeed) -> None:
     if not scene.measured:
         out.print("nothing could be measured")
         return
-    shown = [place for place, wide in enumerate(HEADINGS.values()) if wide or out.width >= NARROW]
+    shown = [place for place, narrow in enumerate(HEADINGS.values()) if narrow or out.width >= NARROW]
+    if all(one.size == scene.size for one in scene.measured):
+        shown = [place for place in shown if list(HEADINGS)[place] != "size"]
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
     for place in shown:
         heading = list(HEADINGS)[place]
         if heading == "renderer":
-            table.add_column(heading, overflow="fold", max_width=40)
+            table.add_column(heading, overflow="fold", min_width=21, max_width=40)
         else:
             table.add_column(heading, justify="left" if heading == "front" else "right", no_wrap=True)
     for one in scene.measured:
