@@ -12,6 +12,7 @@ from tracer.passes import write_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,6 @@ def _draw(axis: Axes, panel: Panel) -> None:
     places = [(point.time, max(point.error, LEAST)) for point in panel.points]
     best = front([(point.time, point.error) for point in panel.points])
     most = max((point.threads for point in panel.points), default=1)
-    seen: set[str] = set()
     for point, place, on in zip(panel.points, places, best, strict=True):
         marker, color = LOOKS.get(point.family, OTHERS)
         filled = point.threads == most
@@ -107,10 +107,8 @@ def _draw(axis: Axes, panel: Panel) -> None:
             markerfacecolor=color if filled else "white",
             markeredgecolor="black" if on else color,
             markeredgewidth=1.6 if on else 1.0,
-            label=point.family if point.family not in seen else "_",
             zorder=4 if on else 3,
         )
-        seen.add(point.family)
     chosen = sorted(place for place, on in zip(places, best, strict=True) if on)
     if chosen:
         # Steps: what can be had for a time is the error of the best that takes no longer.
@@ -121,7 +119,6 @@ def _draw(axis: Axes, panel: Panel) -> None:
             color="black",
             linewidth=1.2,
             linestyle="--",
-            label="front",
             zorder=2,
         )
     axis.set_xscale("log")
@@ -133,6 +130,7 @@ def _draw(axis: Axes, panel: Panel) -> None:
     axis.margins(x=0.12, y=0.16)
     axis.set_axisbelow(True)
     axis.legend(
+        handles=_legend({point.family for point in panel.points}),
         fontsize=8,
         loc="center left",
         bbox_to_anchor=(1.01, 0.5),
@@ -141,6 +139,18 @@ def _draw(axis: Axes, panel: Panel) -> None:
         else "on the front: black edge",
         title_fontsize=8,
     )
+
+
+def _legend(families: set[str]) -> list[Line2D]:
+    """A marker of each family, and the line of the front."""
+    from matplotlib.lines import Line2D
+
+    found = []
+    for family in (*LOOKS, *sorted(families - set(LOOKS))):
+        if family in families:
+            marker, color = LOOKS.get(family, OTHERS)
+            found.append(Line2D([], [], linestyle="", marker=marker, color=color, markersize=6, label=family))
+    return [*found, Line2D([], [], linestyle="--", color="black", linewidth=1.2, label="front")]
 
 
 def _name(axis: Axes, points: Sequence[Point], best: Sequence[bool]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -151,6 +152,14 @@ def test_wrong_decisions_are_counted(name: str, proof: Proof, drawn: dict[str, A
     if name == "id" and changed[at] == drawn[name][at]:
         changed[at] = -1
     assert measure(drawn | {name: changed}, proof).wrong == 1
+
+
+def test_a_shadow_that_no_light_could_fall_on_is_no_decision(proof: Proof, drawn: dict[str, Any]) -> None:
+    of = ~proof.lit[0] & (proof.value["id"][:, 0] >= 0)
+    changed = drawn["shadow.L0"].copy()
+    at = place(proof, of)
+    changed[at] = 1 - changed[at]
+    assert measure(drawn | {"shadow.L0": changed}, proof).wrong == 0
 
 
 def test_who_does_not_tell_decisions_has_none(proof: Proof, drawn: dict[str, Any]) -> None:
@@ -376,10 +385,34 @@ def test_the_memory_is_that_of_the_process_and_not_of_ours() -> None:
     assert ballast.nbytes == 1 << 29
 
 
-def test_what_a_renderer_prints_is_no_answer(tmp_path: Path) -> None:
-    # POV-Ray and Mitsuba print at times; so does this one, on both streams.
-    program = tmp_path / "loud.py"
-    program.write_text('import sys\nprint(\'{"error": "none"}\')\nsys.exit(3)\n')
+def test_a_renderer_of_others_may_print_what_it_likes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "loud.py").write_text(
+        "import os\n"
+        "from validation.renderers.native import Native\n"
+        "class Loud(Native):\n"
+        "    def render(self, *words):\n"
+        '        print(\'{"error": "none"}\', flush=True)\n'
+        "        os.write(1, b'{}\\n')\n"
+        "        return super().render(*words)\n"
+        "def renderers():\n"
+        "    found = Loud('f64')\n"
+        "    found.name = 'loud'\n"
+        "    return [found]\n"
+    )
+    installed = tmp_path / "loud-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: loud\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text("[whitted.renderers]\nloud = loud:renderers\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with process() as worker:
+        first = worker.ask("first", key="picture", renderer="loud", scene=doubles.FULL, settings={})
+        assert first.keys() == {"probing", "seconds"}
+        assert worker.ask("memory").keys() == {"bytes"}
+
+
+def test_a_program_that_fails_is_told_with_its_status(tmp_path: Path) -> None:
+    program = tmp_path / "failing.py"
+    program.write_text("import sys\nsys.exit(3)\n")
     asked = {"renderer": f"cmd:{sys.executable} {program} {{scene}} {{output}}", "scene": doubles.FULL, "settings": {}}
     with process() as worker:
         with pytest.raises(WorkerError, match="status 3"):
@@ -482,12 +515,40 @@ def test_the_kernels_are_measured_in_every_way(kernels: speed_kernels.Kernels) -
     assert len(record["rows"]) == len(kernels.rows)
 
 
-def test_ratios_are_to_the_first_of_their_kind(kernels: speed_kernels.Kernels) -> None:
-    for group in {row.group for row in kernels.rows}:
-        for precision in ("f64", "f32"):
-            first = next(row for row in kernels.rows if (row.group, row.precision) == (group, precision))
-            assert first.ratio is not None
-            assert first.ratio.least == first.ratio.upper == 1.0
+class Timed:
+    """A process whose pictures take a nanosecond a pixel in float64, half of it in float32, and twice that in scalar
+    code.
+    """
+
+    def __init__(self, isa: str) -> None:
+        self.slow, self.jobs = 2 if isa == "scalar" else 1, {}
+
+    def ask(self, do: str, **request: Any) -> dict[str, Any]:
+        if do == "first":
+            view = tracer.loads(request["scene"], limits=False).view
+            each = self.slow * (1e-9 if request["renderer"] == "native-f64" else 0.5e-9)
+            self.jobs[request["key"]] = view.columns * view.rows * each
+        if do == "draw":
+            return {"seconds": [self.jobs[request["key"]]] * 2, "busy": [self.jobs[request["key"]]] * 2}
+        if do == "limits":
+            rates = {"multiply_adds": 1e12, "square_roots": 4e9, "divisions": 8e9}
+            return {"limits": {"f64": rates, "f32": rates}}
+        return {"seconds": [1e-6], "bytes": 1000}
+
+
+def test_ratios_are_of_pixels_a_second_and_to_the_first_of_their_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed_kernels, "process", lambda isa: contextlib.nullcontext(Timed(isa)))
+    monkeypatch.setattr(speed_kernels, "instruction_sets", lambda: ("scalar", "sse2"))
+    found = speed_kernels.kernels("full", doubles.full(), sizes=(16, 64), counts=(1, 9), edge=32)
+    for row in found.rows:
+        assert row.ratio is not None
+        assert row.ratio.median == pytest.approx(2 if row.value == "sse2" else 1), row
+        assert row.speed == pytest.approx((0.5e9 if row.isa == "scalar" else 1e9) * (1 + (row.precision == "f32")))
+    double = [limit for limit in found.limits if limit.precision == "f64"]
+    costs = {limit.isa: (limit.cost("multiply_adds"), limit.cost("square_roots")) for limit in double}
+    assert costs == {"scalar": pytest.approx((2000, 8)), "sse2": pytest.approx((1000, 4))}
+    assert found.written is not None
+    assert found.record()["written"]["bytes_per_second"] == pytest.approx(1e9)
 
 
 def test_a_picture_that_does_not_fit_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
