@@ -75,8 +75,11 @@ class Job:
         if reason := self.program.unavailable():
             return {"unavailable": reason}
         versions = dict(self.program.versions())
-        if "beauty" not in self.program.passes(self.scene, self.settings):
+        delivers = self.program.passes(self.scene, self.settings)
+        if "beauty" not in delivers:
             why = why_not(self.program, self.scene)
+            if delivers:
+                return {"refused": "it cannot draw all of this scene, only some of its passes"}
             return {"refused": "it cannot draw this scene" + (f": {why}" if why not in ("", "nothing") else "")}
         size = self.scene.view.columns, self.scene.view.rows
         most = self.program.max_pixels(self.scene, ("beauty",))

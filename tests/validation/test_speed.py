@@ -342,6 +342,19 @@ def test_who_cannot_run_is_listed_with_the_reason(monkeypatch: pytest.MonkeyPatc
     assert named.failures
 
 
+@pytest.mark.mitsuba
+def test_who_cannot_draw_the_scene_is_left_out_with_the_reason() -> None:
+    wide = doubles.full().replace(view=doubles.full().view.replace(columns=100))
+    quick: dict[str, Any] = {"rounds": 1, "seconds": 0.0, "pixels": 20, "edges": 5, "named": True}
+    for scene, reason in (
+        (wide, "it cannot draw this scene: pixels that are not square need a camera of ours"),
+        (doubles.full(), "it cannot draw all of this scene, only some of its passes"),
+    ):
+        result = speed.speed({"full": scene}, [Entry("mitsuba-stock@scalar", "", 1)], **quick)
+        assert [(note.renderer, note.message) for note in result.left_out] == [("mitsuba-stock@scalar", reason)]
+        assert not result.scenes[0].measured
+
+
 def test_when_the_time_is_up_the_rest_is_left_out() -> None:
     chosen = entries(["native-f64@scalar", "native-f32@scalar"], (1,))
     result = speed.speed({"full": doubles.full()}, chosen, limit=0.0, rounds=3, pixels=20, edges=5)
