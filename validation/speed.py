@@ -322,13 +322,17 @@ def default_scenes() -> list[Path]:
 class Process:
     """One process that draws, and what it is asked."""
 
-    def __init__(self, isa: str = "", cpus: Sequence[int] = (), home: Path | None = None) -> None:
-        """Start it. `cpus`: all that it may use, none: any; `home`: an empty folder for what compilers keep."""
+    def __init__(self, folder: Path, isa: str = "", cpus: Sequence[int] = (), *, compiles: bool = False) -> None:
+        """Start it. `folder`: empty, for all that it leaves; `cpus`: those that it may use, none: all.
+
+        One that `compiles` finds nothing that was compiled before.
+        """
         environment = {key: value for key, value in os.environ.items() if key != "WHITTED_ISA"}
+        environment["TMPDIR"] = str(folder)
         if isa:
             environment["WHITTED_ISA"] = isa
-        if home:
-            environment["HOME"] = str(home)
+        if compiles:
+            environment["HOME"] = str(folder)
         words = [sys.executable, "-P", "-m", "validation.speed_worker", ",".join(map(str, cpus))]
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         self._started = time.perf_counter()
@@ -401,15 +405,16 @@ class Process:
 
 @contextmanager
 def process(isa: str = "", cpus: Sequence[int] = (), *, compiles: bool = False) -> Iterator[Process]:
-    """A process that ends with the block; one that `compiles` finds nothing that was compiled before."""
-    home = Path(tempfile.mkdtemp(prefix="whitted-")) if compiles else None
-    opened = Process(isa, cpus, home)
+    """A process that ends with the block, and all that it has left with it; see Process."""
+    folder = Path(tempfile.mkdtemp(prefix="whitted-"))
     try:
-        yield opened
+        opened = Process(folder, isa, cpus, compiles=compiles)
+        try:
+            yield opened
+        finally:
+            opened.close()
     finally:
-        opened.close()
-        if home:
-            shutil.rmtree(home, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 # ---- measuring

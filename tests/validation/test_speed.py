@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -381,6 +382,21 @@ def test_a_process_that_hangs_is_ended() -> None:
             worker.ask("limits", patience=0.01, seconds=5)
         pid = worker._process.pid
     assert not Path(f"/proc/{pid}").exists() or sys.platform != "linux"
+
+
+def test_a_process_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of a program that is ended while it draws, the folder it draws in would be left.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    started, program = tmp_path / "started", tmp_path / "slow.py"
+    program.write_text(f"import pathlib, time\npathlib.Path({str(started)!r}).touch()\ntime.sleep(60)\n")
+    command = f"cmd:{sys.executable} {program} {{scene}}"
+    with process() as worker:
+        with pytest.raises(LateError):
+            worker.ask("first", patience=3, renderer=command, scene=doubles.FULL, settings={}, key="")
+        (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
+        assert started.exists()
+        assert list(folder.iterdir()), "the folder that the program runs in"
+    assert {path.name for path in tmp_path.iterdir()} == {"started", "slow.py"}
 
 
 def test_a_process_that_dies_says_how() -> None:
