@@ -169,12 +169,13 @@ def geometry(scene: Scene, *, max_reflections: int = 3) -> dict[str, Any]:
         shapes[f"sphere_{index}"] = {
             "type": "instance",
             "group": {"type": "ref", "id": f"group_{index}"},
-            "to_world": _placed(sphere.position, [value / radius for value in scaling]),
+            "to_world": placed(sphere.position, [value / radius for value in scaling]),
         }
     return shapes
 
 
-def _placed(position: Sequence[float], scaling: Sequence[float]) -> Any:
+def placed(position: Sequence[float], scaling: Sequence[float]) -> Any:
+    """Scaled along the axes, then moved."""
     import mitsuba as mi
     import numpy as np
 
@@ -373,7 +374,7 @@ def _place(sphere: Sphere) -> dict[str, Any]:
     radius = abs(sphere.scaling[0])
     corner = [value - 2 * radius for value in sphere.position]
     grid = {"type": "gridvolume", "grid": mi.VolumeGrid(ends), "raw": True, "accel": False, "wrap_mode": "clamp"}
-    return {"type": "volume", "volume": grid | {"to_world": _placed(corner, [4 * radius] * 3)}}
+    return {"type": "volume", "volume": grid | {"to_world": placed(corner, [4 * radius] * 3)}}
 
 
 def write_xml(

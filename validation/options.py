@@ -131,6 +131,19 @@ class Count(Whole):
         return int(value)
 
 
+class Threads(click.ParamType[tuple[int, ...]]):
+    """Numbers of threads with commas between them; 0: all processors."""
+
+    name = "N[,N...]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """As numbers."""
+        if isinstance(value, tuple):
+            return value
+        whole = Whole(0, MOST_THREADS, hint="--threads 1,0 measures with one thread, and with all")
+        return tuple(dict.fromkeys(whole.convert(part.strip(), param, ctx) for part in value.split(",")))
+
+
 def positive(_: click.Context, parameter: click.Parameter, value: float) -> float:
     """A finite number from 0 on."""
     if not 0 <= value < float("inf"):

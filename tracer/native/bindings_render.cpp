@@ -9,6 +9,7 @@
 #include <tuple>
 
 #include "bindings.hpp"
+#include "limits.hpp"
 #include "render.hpp"
 #include "scene.hpp"
 
@@ -84,6 +85,25 @@ void render_into(const Scene &scene, const std::vector<NamedArray> &arrays, cons
     if (!whole) throw nb::python_error();  // what the signal's handler raised: KeyboardInterrupt
 }
 
+nb::dict limits(double seconds) {
+    const std::string name = checked_instruction_set();
+    Rate rates[2]{};
+    {
+        const nb::gil_scoped_release unlocked;
+        measure_limits(name, seconds, rates);
+    }
+    nb::dict found;
+    const char *const precisions[] = {"f64", "f32"};
+    for (int i = 0; i < 2; ++i) {
+        nb::dict entry;
+        entry["multiply_adds"] = rates[i].multiply_adds;
+        entry["square_roots"] = rates[i].square_roots;
+        entry["divisions"] = rates[i].divisions;
+        found[precisions[i]] = entry;
+    }
+    return found;
+}
+
 }  // namespace
 
 void bind_render(nb::module_ &module) {
@@ -96,6 +116,11 @@ void bind_render(nb::module_ &module) {
     module.def("instruction_set", &checked_instruction_set,
                "The instruction set of the kernels in use: scalar, sse2, avx2, avx512 or neon.\n\n"
                "Raises:\n    ValueError: the environment variable WHITTED_ISA names one that is not there.");
+    module.def(
+        "limits", &limits, "seconds"_a = 0.2,
+        nb::sig("def limits(seconds: float = 0.2) -> dict[str, dict[str, float]]"),
+        "What one thread of this machine can do in a second with the instruction set in use, by precision.\n\n"
+        "multiply_adds, not fused, like those of the kernels; square_roots; divisions. Measured in about `seconds`.");
     module.def("compiler", &compiler, "The compiler that built the extension.");
     module.def("version", [] { return std::string(WHITTED_VERSION); }, "The version of whitted.");
     module.attr("MOST_REFLECTIONS") = most_reflections;

@@ -47,12 +47,14 @@ class Engine(Protocol):
 class Arrays:
     """All rays at once, in a variant of Mitsuba that compiles."""
 
-    def __init__(self, shapes: Mapping[str, Any]) -> None:
-        """Load the shapes."""
+    def __init__(self, shapes: Mapping[str, Any], *, smooth: bool = False) -> None:
+        """Load the shapes; `smooth`: normals are those between the vertices of a mesh."""
         import drjit as dr
         import mitsuba as mi
 
-        self.scene = mi.load_dict(dict(shapes))
+        self.smooth = smooth
+        # Meshes that were merged into one would have no name.
+        self.scene = mi.load_dict(dict(shapes), optimize=not smooth)
         # A shape in a kernel is its number in a registry.
         registry = np.array(dr.reinterpret_array(mi.UInt32, self.scene.shapes_dr())).tolist()
         found = dict(zip(registry, self.scene.shapes(), strict=True))
@@ -78,22 +80,24 @@ class Arrays:
         # Only for the rays that hit something: on a miss there is no shape to ask.
         (index,) = _lanes(hit)
         found, ray = dr.gather(type(found), found, index), dr.gather(type(ray), ray, index)
-        si = found.compute_surface_interaction(ray, +mi.RayFlags.Minimal)
-        si.sh_frame = mi.Frame3f(si.n)
+        flags = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame if self.smooth else mi.RayFlags.Minimal
+        si = found.compute_surface_interaction(ray, +flags)
+        normal = si.sh_frame.n if self.smooth else si.n
+        si.sh_frame = mi.Frame3f(normal)
         si.wi = si.to_local(-ray.d)
         shape = dr.select(
             dr.reinterpret_array(mi.UInt32, si.instance) != 0,
             dr.reinterpret_array(mi.UInt32, si.instance),
             dr.reinterpret_array(mi.UInt32, si.shape),
         )
-        dr.eval(si, shape)
+        dr.eval(si, shape, normal)
         count = hit.size
         return Hits(
             hit,
             self.ids[np.array(shape)[:count]],
             np.array(si.t, dtype=np.float64)[:count],
             _rows(si.p, count),
-            _rows(si.n, count),
+            _rows(normal, count),
             si,
         )
 
@@ -134,11 +138,13 @@ class Arrays:
 class Loop:
     """One ray after the other: needs no compiler, and intersects in float64."""
 
-    def __init__(self, shapes: Mapping[str, Any]) -> None:
-        """Load the shapes; `work` counts what is done, by kind."""
+    def __init__(self, shapes: Mapping[str, Any], *, smooth: bool = False) -> None:
+        """Load the shapes; `work` counts what is done, by kind; `smooth` as in Arrays."""
         import mitsuba as mi
 
-        self.scene = mi.load_dict(dict(shapes))
+        self.smooth = smooth
+        # Meshes that were merged into one would have no name.
+        self.scene = mi.load_dict(dict(shapes), optimize=not smooth)
         self.work = {"ray": 0, "hit": 0, "stock": 0, "phong": 0}
 
     def hit(self, origin: Vectors, direction: Vectors, until: NDArray[np.float64] | None = None) -> Hits:
@@ -154,7 +160,7 @@ class Loop:
         for row, (o, d, limit) in enumerate(zip(origin.tolist(), direction.tolist(), limits, strict=True)):
             si = intersect(make(o, d, limit, 0.0, []))
             if si.is_valid():
-                p, n = si.p, si.n
+                p, n = si.p, si.sh_frame.n if self.smooth else si.n
                 si.sh_frame = mi.Frame3f(n)
                 si.wi = si.to_local(-mi.Vector3f(d))
                 rows.append(row)

@@ -1,0 +1,8 @@
+// Packets of 256 bits: the limits of avx2.
+#include "limits.hpp"
+
+namespace whitted {
+
+const Limits limits_avx2{"avx2", Limit<double, 4>::loops, Limit<float, 8>::loops};
+
+}  // namespace whitted

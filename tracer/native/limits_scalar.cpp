@@ -1,0 +1,8 @@
+// One number at a time: the limits of scalar.
+#include "limits.hpp"
+
+namespace whitted {
+
+const Limits limits_scalar{"scalar", Limit<double, 1>::loops, Limit<float, 1>::loops};
+
+}  // namespace whitted
