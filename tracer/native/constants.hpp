@@ -42,6 +42,7 @@ struct SphereConstants {
     Real eye_power;             // |eye|^2 - 1, from float64: below 0 when the eye is inside
     Real eye_distance_squared;  // |eye|^2
     bool meets_plane;           // whether it reaches the image plane z = -near, where primary rays begin to count
+    bool steep;                 // so thin and far that D needs a second projection: docs/tolerances.md, section 2
     Real plane_reach[3];        // |p| + 3/8 |(left, top, 0)| in units of |s|: part of the rounding bound there
     Real ambient[3];            // Ka Ia O
     Real color[3];              // O

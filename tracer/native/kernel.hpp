@@ -77,13 +77,16 @@ struct Kernel {
         return -D <= P(tangent_roundings) * (P(one) + sum);
     }
 
-    // c = |o|^2 - 1. reach_squared: the square of a bound above that of touching().
-    static WHITTED_INLINE Roots intersect(Vec o, P c, Vec d, P reach_squared) {
+    // c = |o|^2 - 1. steep: of the sphere. reach_squared: the square of a bound above that of touching().
+    static WHITTED_INLINE Roots intersect(Vec o, P c, Vec d, bool steep, P reach_squared) {
         const P a = dot(d, d);
         const P h = dot(o, d);
         const P inverse_a = P(one) / a;
         const Vec along = d * (h * inverse_a);
-        const Vec closest = o - along;
+        Vec closest = o - along;
+        // What the roundings of h/a have left along the ray: 3 u |o|, whose square would tell in D.
+        if (steep) [[unlikely]]
+            closest = closest - d * (dot(closest, d) * inverse_a);
         const P D = P(one) - dot(closest, closest);
         Lanes real = D > P(zero);
         const Lanes near_zero = (!real) & (D * D <= reach_squared);
@@ -175,7 +178,7 @@ struct Kernel {
             const P d_z = P(span.direction_z) * inverse_scale.z;
             for (std::size_t at = part.begin; at < part.end; at += Width) {
                 const Vec d{P::load(span.direction_x + at) * inverse_scale.x, d_y, d_z};
-                Roots roots = intersect(eye, c, d, squared_reach);
+                Roots roots = intersect(eye, c, d, sphere.steep, squared_reach);
                 if (!any(roots.real)) continue;
                 if (sphere.meets_plane) [[unlikely]]
                     settle_plane(sphere, d, roots);
@@ -386,7 +389,7 @@ struct Kernel {
             const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
             const Lanes misses = ((h > P(zero)) & (c >= P(zero))) | (h * h - a * c < -slack);
             if (!any(active & !misses)) continue;
-            const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
+            const Roots roots = intersect(o, c, d, scene.spheres[j].steep, reach_squared(distance_squared));
             const Lanes far = !(roots.near_t > P(zero));
             const P t = select(far, roots.far_t, roots.near_t);
             const Lanes hit = active & roots.real & (t > P(zero)) & (t < nearest.t);
@@ -398,8 +401,8 @@ struct Kernel {
     }
 
     // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. side: of the light there, not 0.
-    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, P epsilon, int side) {
-        const Roots roots = intersect(o, c, d, reach_squared(distance_squared));
+    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, bool steep, P epsilon, int side) {
+        const Roots roots = intersect(o, c, d, steep, reach_squared(distance_squared));
         // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it
         // where their middle is, or both behind it.
         return side < 0 ? roots.near_t > epsilon
@@ -454,7 +457,7 @@ struct Kernel {
                 }
                 found = found | dark;
                 if (any(asked & !(found | free))) [[unlikely]]
-                    found = found | meets(o, distance_squared, c, d, epsilon, side);
+                    found = found | meets(o, distance_squared, c, d, sphere.steep, epsilon, side);
             }
             if (!any(asked & !found)) return asked;
         }
