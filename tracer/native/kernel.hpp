@@ -240,10 +240,12 @@ struct Kernel {
     // the origin from the segment that starts there is more than the ball's radius and 1, and all roundings.
     static WHITTED_LARGE bool passes(const SceneConstants<Real> &scene, const Lamp<Real> &lamp, const Real *between,
                                      const SphereConstants<Real> &other, const double *middle, const double *half) {
-        double a = 0, h = 0, start = 0, radius = 0;
+        double a = 0, h = 0, start = 0, radius = 0, between_squared = 0;
         for (int c = 0; c < 3; ++c) {
             const double inverse = double(other.inverse_scale[c]);
             const double o = (middle[c] + double(between[c])) * inverse;
+            // A point is rounded as what it is the sum of: those of a huge sphere near a small one.
+            between_squared += (double(between[c]) * inverse) * (double(between[c]) * inverse);
             const double d = (double(lamp.place[c]) - middle[c]) * inverse;
             const double r = half[c] * inverse;
             a += d * d;
@@ -253,7 +255,8 @@ struct Kernel {
         }
         const double t = h < 0 ? (-h < a ? -h / a : 1) : 0;
         const double distance = start + t * (2 * h + t * a);
-        const double apart = 1 + 8 * double(scene.doubt) * (1 + start + radius + a) + __builtin_sqrt(radius);
+        const double apart =
+            1 + 8 * double(scene.doubt) * (1 + start + radius + a + between_squared) + __builtin_sqrt(radius);
         return distance > apart * apart;
     }
 

@@ -218,6 +218,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         const bool cuts = settings.cuts && can_cut(from, unit_roundoff);
         const std::vector<std::size_t> distinct = from.distinct();
         const std::size_t light_count = from.lights.size();
+        const Extent extent(from);
         lamps.reserve(distinct.size() * light_count);
         spheres.reserve(distinct.size());
         if (distinct.size() <= most_spheres_kept) from_others.reserve(distinct.size() * distinct.size() * 3);
@@ -238,7 +239,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             }
             to.eye_power = static_cast<Real>(power);
             to.eye_distance_squared = static_cast<Real>(power + 1);
-            to.steep = is_steep(sphere, from);
+            to.steep = is_steep(sphere, extent);
             meet_plane(to, sphere, from.view);
             narrow(to.color, sphere.color);
             to.reflection = static_cast<Real>(sphere.kr);
@@ -319,7 +320,7 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         if (!all) {
             for (const std::size_t i : distinct) {
                 const Sphere &surface = from.spheres[i];
-                const double reach = farthest_ray(surface, from, true);
+                const double reach = farthest_ray(surface, from);
                 for (const Light &light : from.lights) {
                     for (std::size_t j = 0; j < count; ++j) {
                         const Sphere &other = from.spheres[distinct[j]];
@@ -337,8 +338,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         }
     }
 
-    // How far from the surface, in units of its |s|, rays start: at the eye, or on a sphere, or on a mirror only.
-    static double farthest_ray(const Sphere &surface, const Scene &from, bool only_mirrors) {
+    // How far from the surface, in units of its |s|, rays start: at the eye, or on a mirror.
+    static double farthest_ray(const Sphere &surface, const Scene &from) {
         const auto distance = [&](const Vec3 &position, const Vec3 &scaling) {
             double sum = 0;
             for (std::size_t k = 0; k < 3; ++k)
@@ -348,20 +349,33 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
         };
         double farthest = distance({0, 0, 0}, {0, 0, 0});
         for (const Sphere &sphere : from.spheres)
-            if (sphere.kr != 0 || !only_mirrors)
-                farthest = std::max(farthest, distance(sphere.position, sphere.scaling));
+            if (sphere.kr != 0) farthest = std::max(farthest, distance(sphere.position, sphere.scaling));
         return farthest;
     }
 
+    // The box that all rays start in: the eye and all surfaces, with some room for their roundings.
+    struct Extent {
+        Vec3 low{}, high{};
+        explicit Extent(const Scene &from) {
+            for (const Sphere &sphere : from.spheres)
+                for (std::size_t k = 0; k < 3; ++k) {
+                    low[k] = std::min(low[k], sphere.position[k] - 2 * std::abs(sphere.scaling[k]));
+                    high[k] = std::max(high[k], sphere.position[k] + 2 * std::abs(sphere.scaling[k]));
+                }
+        }
+    };
+
     // A ray all but along the thin axis of a plate comes from |o| = h away in its unit space. There the square of 3 u h
     // is to stay below the roundings of D that moving the plate makes, u max(1, h/ratio).
-    static bool is_steep(const Sphere &sphere, const Scene &from) {
-        double narrow = std::abs(sphere.scaling[0]), wide = narrow;
-        for (const double scaling : sphere.scaling) {
-            narrow = std::min(narrow, std::abs(scaling));
-            wide = std::max(wide, std::abs(scaling));
+    static bool is_steep(const Sphere &sphere, const Extent &extent) {
+        double narrow = std::abs(sphere.scaling[0]), wide = narrow, farthest = 0;
+        for (std::size_t k = 0; k < 3; ++k) {
+            const double scale = std::abs(sphere.scaling[k]);
+            narrow = std::min(narrow, scale);
+            wide = std::max(wide, scale);
+            farthest += std::max(sphere.position[k] - extent.low[k], extent.high[k] - sphere.position[k]) / scale;
         }
-        return wide / narrow * farthest_ray(sphere, from, false) > 1 / (64 * unit_roundoff);
+        return wide / narrow * farthest > 1 / (64 * unit_roundoff);
     }
 
     // x of columns first .. first + count - 1, and the last one again up to a packet more.
