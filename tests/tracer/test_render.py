@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -87,15 +86,6 @@ def inside_a_mirror(columns: int, rows: int) -> Scene:
     """Every ray goes on for as many bounces as are asked for."""
     view = View(near=1, left=-1, right=1, bottom=-1, top=1, columns=columns, rows=rows)
     return Scene(view=view, spheres=(ball(0, 0, 0, (5, 4, 6), kr=1), ball(1, 1, -3)), lights=(light(0, 1, 0),))
-
-
-def bundled() -> dict[str, Scene]:
-    """The scenes of the project in a small size."""
-    found = sorted(ROOT.glob("scenes/*/*.txt"))
-    assert found
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", tracer.SceneWarning)  # scenes about duplicates
-        return {path.stem: resized(tracer.load(path, limits=False), 61, 47) for path in found}
 
 
 class TestArrays:
@@ -270,10 +260,11 @@ def supported(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 class TestTheSameBits:
     @pytest.mark.parametrize("precision", PRECISIONS)
     def test_on_every_instruction_set(self, precision: Precision, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Bounces without end, and everything at once; test_bits.py has all scenes."""
         digests: dict[str, dict[str, str]] = {}
         for isa in supported(monkeypatch):
             monkeypatch.setenv("WHITTED_ISA", isa)
-            for name, scene in {**bundled(), "mirror": inside_a_mirror(19, 17), "some": some_scene()}.items():
+            for name, scene in {"mirror": inside_a_mirror(19, 17), "some": some_scene()}.items():
                 bounces = 12 if name == "mirror" else 3
                 passes = tracer.render(scene, rendered(scene, bounces), precision=precision, max_reflections=bounces)
                 for pass_name, array in passes.items():

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import random
 import re
-import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +13,7 @@ from pathlib import Path
 import pytest
 import strategies
 from hypothesis import HealthCheck, given, settings
-from programs import started
+from programs import build, started
 
 from tracer import Scene
 
@@ -32,21 +28,8 @@ Run = Callable[..., subprocess.CompletedProcess[bytes]]
 @pytest.fixture(scope="module")
 def program(need: Callable[[object, str], None]) -> Path:
     """The program, built into a folder that is kept, so that only what changed is compiled again."""
-    tools = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
-    cmake, ninja = (shutil.which(tool, path=tools) for tool in ("cmake", "ninja"))
-    need(cmake and ninja, "cmake and ninja are not installed: pip install --group dev")
-    assert cmake is not None
     folder = ROOT / "build" / "sanitize"
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:  # two workers of pytest must not build at once
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        configure = ["--fresh", "-S", str(ROOT), "-B", str(folder), "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"]
-        for command in (
-            [cmake, *configure, "-DWHITTED_PYTHON=OFF", "-DWHITTED_SANITIZE=address,undefined"],
-            [cmake, "--build", str(folder), "--target", "raytrace"],
-        ):
-            result = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert result.returncode == 0, result.stdout + result.stderr
+    build(folder, "raytrace", need=need, configure=("-DWHITTED_PYTHON=OFF", "-DWHITTED_SANITIZE=address,undefined"))
     return folder / "raytrace"
 
 

@@ -622,14 +622,15 @@ bool Renderer::render(std::int64_t first, std::int64_t last, const std::vector<T
             return true;
         };
     };
-    return share(first, last, piece, worker, poll);
+    return share(first, last, prepared->settings.piece > 0 ? prepared->settings.piece : piece, worker, poll);
 }
 
 bool Renderer::stream(const Deliver &deliver, const Poll &poll) const {
     const std::int64_t pixels = prepared->view.columns * prepared->view.rows;
     // Eight pieces a processor share the work of a small image evenly.
     const std::int64_t processors = std::max(1U, std::thread::hardware_concurrency());
-    const std::int64_t size = std::clamp(pixels / (8 * processors), piece, streamed_piece);
+    const std::int64_t even = std::clamp(pixels / (8 * processors), piece, streamed_piece);
+    const std::int64_t size = prepared->settings.piece > 0 ? prepared->settings.piece : even;
     const auto worker = [&]() -> Piece {
         return [&, bytes = std::vector<std::uint8_t>(static_cast<std::size_t>(3 * std::min(size, pixels)))](
                    std::int64_t begin, std::int64_t end, const GoOn &go_on) mutable {

@@ -24,7 +24,8 @@ struct Settings {
     Sample sample = Sample::corner;
     double shadow_epsilon = 1e-4;
     int max_reflections = 3;
-    bool cuts = true;  // leave out what cannot change a bit of the result; off only to test that
+    bool cuts = true;        // leave out what cannot change a bit of the result; off only to test that
+    std::int64_t piece = 0;  // the pixels that a thread takes at a time; 0: what is fast; another only to test that
 };
 
 // More bounces than any mirror of Kr < 0.99 shows in float64.

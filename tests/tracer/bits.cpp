@@ -1,14 +1,25 @@
-// cuts FIRST COUNT: draws random scenes with cuts and without, on every instruction set there is. The bytes of all
-// passes must be the same. Prints the seeds of scenes where they are not; exit status 1.
+// Draws scenes in every way there is: the bytes of all passes must be the same.
+//
+//     bits random FIRST COUNT     random scenes that are hard to cut, each in a few ways
+//     bits SCENE...               files, in a small size, in all ways
+//
+// The ways: every instruction set of this machine, several threads, the image in bands and pieces that no packet fits,
+// arrays or bytes or a stream. What they are held against is drawn without cuts, in one piece, by one thread, one ray
+// at a time. Prints what differs, exit status 1; and a hash of all bytes, the same on every processor and from every
+// compiler.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <iterator>
 #include <random>
 #include <string>
 #include <vector>
 
+#include "ppm.hpp"
 #include "render.hpp"
 #include "scene.hpp"
 
@@ -208,6 +219,7 @@ Scene make(std::uint64_t seed) {
 
 // The bytes of passes, one after the other. What is asked for decides which way a kernel takes.
 enum class Asked { bytes, colors, all };
+constexpr const char *asked_names[] = {"bytes", "colors", "all passes"};
 
 Bytes draw(const Scene &scene, const Settings &settings, std::int64_t band, Asked asked) {
     std::vector<Target> targets{{PassKind::beauty8}};
@@ -241,6 +253,27 @@ Bytes draw(const Scene &scene, const Settings &settings, std::int64_t band, Aske
     return all;
 }
 
+Bytes stream(const Scene &scene, const Settings &settings) {
+    Bytes all(static_cast<std::size_t>(3 * scene.view.columns * scene.view.rows), static_cast<unsigned char>(0xAA));
+    const auto deliver = [&](std::int64_t begin, std::int64_t end, const std::uint8_t *bytes) {
+        std::copy_n(bytes, 3 * (end - begin), all.begin() + 3 * begin);
+        return true;
+    };
+    Renderer(scene, settings).stream(deliver, {});
+    return all;
+}
+
+// Whether 8 bits drawn by themselves are those of the colors, whose first passes are beauty8 and beauty.
+template <class Real>
+bool is_quantised(const Bytes &bytes, const Bytes &colors) {
+    for (std::size_t k = 0; k < bytes.size(); ++k) {
+        Real value;
+        std::memcpy(&value, colors.data() + bytes.size() + k * sizeof value, sizeof value);
+        if (bytes[k] != colors[k] || bytes[k] != quantise(value)) return false;
+    }
+    return true;
+}
+
 std::vector<std::string> instruction_sets() {
     std::vector<std::string> there;
     for (const char *name : {"scalar", "sse2", "avx2", "avx512", "neon"}) {
@@ -251,51 +284,135 @@ std::vector<std::string> instruction_sets() {
     return there;
 }
 
+struct Way {
+    std::string set;
+    int threads;
+    std::int64_t band, piece;  // pixels
+};
+
+class Comparison {
+  public:
+    // Draws a scene once as it is to be, and then in all the ways given.
+    void draw_all(const std::string &name, const Scene &scene, Settings settings, const std::vector<Way> &ways) {
+        const std::int64_t pixels = scene.view.columns * scene.view.rows;
+        Bytes bytes;
+        for (const Asked asked : {Asked::bytes, Asked::colors, Asked::all}) {
+            settings.cuts = false;
+            settings.threads = 1;
+            settings.piece = pixels;
+            setenv("WHITTED_ISA", "scalar", 1);
+            const Bytes expected = draw(scene, settings, pixels, asked);
+            for (const unsigned char byte : expected) hash = (hash ^ byte) * 0x100000001b3;  // FNV-1a
+            if (asked == Asked::bytes) bytes = expected;
+            if (asked == Asked::colors &&
+                !(settings.precision == Precision::f64 ? is_quantised<double>(bytes, expected)
+                                                       : is_quantised<float>(bytes, expected)))
+                differs(name, settings, "8 bits are not those of the colors");
+            settings.cuts = true;
+            for (const Way &way : ways) {
+                settings.threads = way.threads;
+                settings.piece = way.piece;
+                setenv("WHITTED_ISA", way.set.c_str(), 1);
+                const std::string how = way.set + ", " + std::to_string(way.threads) + " threads, band " +
+                                        std::to_string(way.band) + ", piece " + std::to_string(way.piece);
+                ++drawn;
+                if (draw(scene, settings, way.band, asked) != expected)
+                    differs(name, settings, asked_names[static_cast<int>(asked)] + (", " + how));
+                if (asked == Asked::bytes && stream(scene, settings) != expected)
+                    differs(name, settings, "stream, " + how);
+            }
+        }
+        ++scenes;
+    }
+
+    int result() const {
+        std::printf("%ld images of %ld scenes and precisions, %ld differ, hash %016llx\n", drawn, scenes, wrong,
+                    static_cast<unsigned long long>(hash));
+        return wrong != 0 || drawn == 0;
+    }
+
+  private:
+    void differs(const std::string &name, const Settings &settings, const std::string &how) {
+        ++wrong;
+        std::printf("%s, %s, %s\n", name.c_str(), settings.precision == Precision::f64 ? "f64" : "f32", how.c_str());
+    }
+    std::uint64_t hash = 0xcbf29ce484222325;
+    long drawn = 0, scenes = 0, wrong = 0;
+};
+
+bool is_fit(const Scene &scene, Precision precision) {
+    return check(scene, false).empty() && (precision == Precision::f64 || check_float32(scene).empty());
+}
+
+void draw_random(std::uint64_t seed, Comparison &comparison) {
+    Scene scene = make(seed);
+    if (seed % 11 == 0) {  // rows of several spans
+        scene.view.columns = 250 + static_cast<std::int64_t>(seed % 401);
+        scene.view.rows = 5;
+    }
+    const std::int64_t pixels = scene.view.columns * scene.view.rows;
+    const std::int64_t band =
+        seed % 4 == 0 ? 1 + static_cast<std::int64_t>(seed * 37 % static_cast<std::uint64_t>(pixels)) : pixels;
+    for (const Precision precision : {Precision::f64, Precision::f32}) {
+        if (!is_fit(scene, precision)) continue;
+        Settings settings;
+        settings.precision = precision;
+        settings.sample = static_cast<Sample>(seed / 5 % 5);
+        constexpr double epsilons[] = {1e-4, 1e-4, 1e-3, 0, 0.05};
+        settings.shadow_epsilon = epsilons[seed % 5];
+        settings.max_reflections = seed % 7 == 0 ? 5 : seed % 7 == 1 ? 0 : 3;
+        std::vector<Way> ways;
+        for (const std::string &set : instruction_sets())
+            ways.push_back({set, 1 + static_cast<int>(seed % 3), band, seed % 3 == 0 ? 0 : 97});
+        comparison.draw_all("seed " + std::to_string(seed), scene, settings, ways);
+    }
+}
+
+bool draw_file(const char *path, Comparison &comparison) {
+    std::ifstream file(path, std::ios::binary);
+    ParseResult parsed = parse(std::string(std::istreambuf_iterator<char>(file), {}), false);
+    if (!file || !parsed.errors.empty()) return false;
+    Scene &scene = parsed.scene;
+    scene.view.columns = 61;
+    scene.view.rows = 47;
+    constexpr std::int64_t all = 61 * 47;
+    std::vector<Way> ways;
+    for (const std::string &set : instruction_sets()) {
+        ways.push_back({set, 1, all, 0});
+        for (const int threads : {1, 2, 3, 7}) {
+            ways.push_back({set, threads, all, 97});      // pieces of rows
+            ways.push_back({set, threads, 5 * 61, 61});   // bands of rows, a row a piece
+            ways.push_back({set, threads, 13 * 61, 33});  // and neither a row nor a packet
+            ways.push_back({set, threads, 419, 64});      // bands of pixels
+        }
+    }
+    for (const Precision precision : {Precision::f64, Precision::f32}) {
+        Settings settings;
+        settings.precision = precision;
+        if (is_fit(scene, precision)) comparison.draw_all(path, scene, settings, ways);
+    }
+    return true;
+}
+
 }  // namespace
 
 int main(int count, char **arguments) {
-    if (count != 3) {
-        std::fputs("usage: cuts FIRST COUNT\n", stderr);
+    const std::string first = count > 1 ? arguments[1] : "";
+    Comparison comparison;
+    if (first == "random" && count == 4) {
+        const std::uint64_t seed = std::strtoull(arguments[2], nullptr, 10);
+        const std::uint64_t end = seed + std::strtoull(arguments[3], nullptr, 10);
+        for (std::uint64_t k = seed; k < end; ++k) draw_random(k, comparison);
+        return comparison.result();
+    }
+    if (count < 2 || first == "random") {
+        std::fputs("usage: bits random FIRST COUNT, or bits SCENE...\n", stderr);
         return 2;
     }
-    const std::uint64_t first = std::strtoull(arguments[1], nullptr, 10);
-    const std::uint64_t scenes = std::strtoull(arguments[2], nullptr, 10);
-    const std::vector<std::string> sets = instruction_sets();
-    long drawn = 0;
-    long wrong = 0;
-    for (std::uint64_t seed = first; seed < first + scenes; ++seed) {
-        const Scene scene = make(seed);
-        if (!check(scene, false).empty()) continue;
-        const std::int64_t pixels = scene.view.columns * scene.view.rows;
-        for (const Precision precision : {Precision::f64, Precision::f32}) {
-            if (precision == Precision::f32 && !check_float32(scene).empty()) continue;
-            Settings settings;
-            settings.precision = precision;
-            settings.sample = static_cast<Sample>(seed / 5 % 5);
-            constexpr double epsilons[] = {1e-4, 1e-4, 1e-3, 0, 0.05};
-            settings.shadow_epsilon = epsilons[seed % 5];
-            settings.max_reflections = seed % 7 == 0 ? 5 : seed % 7 == 1 ? 0 : 3;
-            for (const Asked asked : {Asked::bytes, Asked::colors, Asked::all}) {
-                settings.cuts = false;
-                settings.threads = 1;
-                setenv("WHITTED_ISA", sets.front().c_str(), 1);
-                const Bytes expected = draw(scene, settings, pixels, asked);
-                settings.cuts = true;
-                settings.threads = 1 + static_cast<int>(seed % 3);
-                const std::int64_t band =
-                    seed % 4 == 0 ? 1 + static_cast<std::int64_t>(seed * 37 % static_cast<std::uint64_t>(pixels))
-                                  : pixels;
-                for (const std::string &set : sets) {
-                    setenv("WHITTED_ISA", set.c_str(), 1);
-                    ++drawn;
-                    if (draw(scene, settings, band, asked) == expected) continue;
-                    std::printf("seed %llu, %s, %s\n", static_cast<unsigned long long>(seed), set.c_str(),
-                                precision == Precision::f64 ? "f64" : "f32");
-                    ++wrong;
-                }
-            }
-        }
+    for (int k = 1; k < count; ++k) {
+        if (draw_file(arguments[k], comparison)) continue;
+        std::fprintf(stderr, "error: %s is no scene\n", arguments[k]);
+        return 2;
     }
-    std::printf("%ld images of %llu scenes, %ld differ\n", drawn, static_cast<unsigned long long>(scenes), wrong);
-    return wrong != 0;
+    return comparison.result();
 }
