@@ -98,7 +98,7 @@ struct Span {
     Real direction_y;
     Real direction_z;
     std::int64_t column;      // of the first pixel
-    std::size_t count;        // at most widest_span
+    std::size_t count;        // at most widest_span<Real>
     const Outline *outlines;  // in the order of the file
     std::size_t outline_count;
     Planes<Real> planes;
@@ -109,7 +109,8 @@ template <class Real>
 using TraceSpan = void (*)(const SceneConstants<Real> &, const Span<Real> &);
 
 inline constexpr std::size_t widest_packet = 16;
-inline constexpr std::size_t widest_span = 256;  // its planes stay in the first-level caches
+template <class Real>
+inline constexpr std::size_t widest_span = 2048 / sizeof(Real);  // its planes stay in the first-level caches
 
 // The kernels of one instruction set.
 struct Kernels {

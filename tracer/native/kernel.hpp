@@ -47,9 +47,9 @@ struct Kernel {
     static WHITTED_INLINE double least(P v) {
         Real lanes[Width];
         v.store(lanes);
-        Real found = lanes[0];
-        for (int k = 1; k < Width; ++k) found = lanes[k] < found ? lanes[k] : found;
-        return double(found);
+        for (int half = Width / 2; half > 0; half /= 2)
+            for (int k = 0; k < half; ++k) lanes[k] = lanes[k + half] < lanes[k] ? lanes[k + half] : lanes[k];
+        return double(lanes[0]);
     }
     static WHITTED_INLINE Vec broadcast(const Real *v) { return {P(v[0]), P(v[1]), P(v[2])}; }
 
@@ -130,7 +130,7 @@ struct Kernel {
 
     // The primary hits of a span: planes as of Hit.
     struct Hits {
-        static constexpr std::size_t size = widest_span + widest_packet;
+        static constexpr std::size_t size = widest_span<Real> + widest_packet;
         alignas(64) Real sphere[size];
         alignas(64) Real t[size];
         alignas(64) Real x[size];
@@ -497,21 +497,17 @@ struct Kernel {
             const Vec to_light = broadcast(lamp.place) - x.offset;
             const Vec own_d = to_light * broadcast(sphere.inverse_scale);
             const P n_d = dot(x.n, own_d);
-            if (!shadow_planes) {
-                // n.d is N.L but for a positive factor, and the side that is seen.
-                const Lanes away = select(x.inside, n_d, -n_d) > P(lamp.least_facing);
-                if (!any(lanes & !away)) continue;
-            }
+            // What is decided before N.L is known, which takes long: n.d is N.L but for a positive factor, and the side
+            // that is seen.
+            const Lanes away = select(x.inside, n_d, -n_d) > P(lamp.least_facing);
+            Lanes asked = lanes & !away;
+            if (!shadow_planes && !any(asked)) continue;
             const P distance_squared = dot(to_light, to_light);
             const Lanes apart = distance_squared > P(zero);  // a light at x itself is visible and adds nothing
             const Vec L = to_light * (P(one) / sqrt(distance_squared));
             const P NL = dot(N, L);
             const Lanes facing = lanes & apart & (NL > P(zero));
-            const Lanes asked = shadow_planes ? lanes & apart : facing;
-            if (!any(asked)) {
-                if (shadow_planes) merge(shadow_planes[light], at, lanes, P(one));
-                continue;
-            }
+            if (shadow_planes) asked = lanes & apart;
             const Lanes dark =
                 hidden(scene, x, light, lists ? lists[light] : lamp.blockers, to_light, own_d, n_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
@@ -539,7 +535,7 @@ struct Kernel {
 
     // The byte of v is 255 v, clamped, its fraction cut off; NaN becomes 0.
     static WHITTED_INLINE P byte(P v) {
-        return select(v > P(zero), select(v < P(one), v, P(one)), P(zero)) * P(Real(255));
+        return minimum(maximum(P(zero), v), P(one)) * P(Real(255));
     }
 
     // Rays on their way from mirror to mirror.
@@ -667,7 +663,7 @@ struct Kernel {
             lists = found.lists;
         }
         if (span.bytes) {
-            alignas(64) std::int32_t words[widest_span + widest_packet];
+            alignas(64) std::int32_t words[widest_span<Real> + widest_packet];
             for (std::size_t at = 0; at < span.count; at += Width)
                 trace_packet<true>(scene, span, hits, lists, at, words);
             pack_words(span.bytes, words, span.count);

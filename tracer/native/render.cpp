@@ -25,9 +25,6 @@ namespace whitted {
 
 namespace {
 
-// A span is the part of a row that a kernel fills at a time.
-constexpr std::int64_t span_columns = widest_span;
-static_assert(widest_span % widest_packet == 0);
 // What a thread takes at a time: long enough to make the taking cheap, short enough to share the work evenly.
 constexpr std::int64_t piece = 8192;
 // The same where a system call follows each time; three bytes each stay in the second-level cache.
@@ -197,6 +194,9 @@ struct Renderer::Prepared {
 template <class Real>
 struct Renderer::PreparedFor final : Renderer::Prepared {
     static constexpr double unit_roundoff = sizeof(Real) == 8 ? 0x1p-53 : 0x1p-24;
+    // A span is the part of a row that a kernel fills at a time.
+    static constexpr std::int64_t span_columns = widest_span<Real>;
+    static_assert(widest_span<Real> % widest_packet == 0);
 
     std::vector<SphereConstants<Real>> spheres;
     std::vector<Lamp<Real>> lamps;

@@ -265,14 +265,36 @@ WHITTED_INLINE Packet<Real, Width> sqrt(Packet<Real, Width> x) {
     }
 }
 
+// a < b ? a : b
 template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> minimum(Packet<Real, Width> a, Packet<Real, Width> b) {
-    return select(a < b, a, b);
+#if defined(__AVX512F__)
+    if constexpr (has_mask_register<Real, Width>) {
+        using P = Packet<Real, Width>;
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm512_maskz_min_pd(__mmask8(~0), a.v, b.v), 0);
+        } else {
+            return P(_mm512_maskz_min_ps(__mmask16(~0), a.v, b.v), 0);
+        }
+    } else
+#endif
+        return select(a < b, a, b);
 }
 
+// a < b ? b : a
 template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> maximum(Packet<Real, Width> a, Packet<Real, Width> b) {
-    return select(a < b, b, a);
+#if defined(__AVX512F__)
+    if constexpr (has_mask_register<Real, Width>) {
+        using P = Packet<Real, Width>;
+        if constexpr (sizeof(Real) == 8) {
+            return P(_mm512_maskz_max_pd(__mmask8(~0), b.v, a.v), 0);
+        } else {
+            return P(_mm512_maskz_max_ps(__mmask16(~0), b.v, a.v), 0);
+        }
+    } else
+#endif
+        return select(a < b, b, a);
 }
 
 template <class Real, int Width>
