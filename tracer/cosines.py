@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracer.motion import DECISION, VALUE, Beam, Gradient, Shape, norm
+from tracer.motion import DECISION, VALUE, Beam, Gradient, Shape, beside, norm
 from tracer.reference import Flags, Light, Real, Surface, dot
 
 # Roundings at most: of a normal, and of the directions to a light and to the eye, as angles; of a difference of
@@ -14,6 +14,8 @@ from tracer.reference import Flags, Light, Real, Surface, dot
 NORMAL, UNIT, DIFFERENCE, COSINE, SHINE = 4, 2, 3, 3, 40
 # Powers and products below 2^-24 times this, of a term's full size or of 1, may underflow to 0 in float32.
 UNDERFLOW = 2.0**-100
+# Where a cosine is at an extreme its second derivative tells: values count it for changes up to this.
+LARGEST = 64 * 2.0**-24
 
 
 def across(v: Real, unit: Real) -> Real:
@@ -30,6 +32,7 @@ class Cosine:
     direction: Real | None
     rest: Real  # how far it moves with the light's position
     rounded: Real  # by how many roundings it may be off besides
+    bend: Real | float = 0.0  # how far besides in decisions, times delta^2 / 2
 
 
 class Cosines:
@@ -41,35 +44,55 @@ class Cosines:
         # The normal is turned to the side that is seen.
         self.steep = np.where(at.x.inside, -1.0, 1.0) * shape.steep
         self.flat = 1 / (shape.scaling * shape.scaling)
+        # By how much the normal turns at most.
+        moves = self.flat * (beam.start_moves + np.abs(shape.position)) + 2 * np.abs(shape.gradient)
+        self.turns = beside(moves, at.normal) / shape.steep
 
-    def incident(self, seen: Light, p: Real) -> Cosine:
-        """N.L for a light at p."""
+    def incident(self, seen: Light, p: Real) -> tuple[Cosine, Cosine]:
+        """N.L for a light at p: its value, and its sign."""
         L, N, distance = seen.L, self.at.normal, norm(seen.to_light)
-        point = -across(N, L) / distance
+        gradient, point = across(L, N) / self.steep, -across(N, L) / distance
         rounded = sine(seen.NL) * (NORMAL + UNIT) + COSINE
-        return Cosine(across(L, N) / self.steep, point, None, *self.rest(point, p, rounded))
+        moves = self.light_moves(p)
+        second = LARGEST * (self.turns + norm(moves) / distance) ** 2
+        value = Cosine(gradient, point, None, *self.rest(point, p, rounded, second))
+        # The sign is that of N.(p - x), which moves where L does not.
+        point = -N / distance
+        bend = 2 * self.turns * beside(moves, N) / distance
+        return value, Cosine(gradient, point, None, *self.rest(point, p, rounded), bend)
 
-    def mirrored(self, seen: Light, p: Real) -> Cosine:
-        """R.V for a light at p: 2 (N.L) (N.V) - L.V."""
+    def mirrored(self, seen: Light, p: Real) -> tuple[Cosine, Cosine]:
+        """R.V for a light at p, 2 (N.L) (N.V) - L.V: its value, and its sign."""
         L, N, V, distance = seen.L, self.at.normal, self.at.viewer, norm(seen.to_light)
         NV = dot(N, V)
-        point = -across(2 * NV * N - V, L) / distance
+        toward = 2 * NV * N - V
+        point = -across(toward, L) / distance
         # V = -d / |d|
         direction = -across(2 * seen.NL * N - L, V) / self.speed
         rounded = sine(seen.RV) * (2 * NORMAL + 2 * UNIT) + SHINE
         gradient = across(2 * (NV * L + seen.NL * V), N) / self.steep
-        return Cosine(gradient, point, direction, *self.rest(point, p, rounded))
+        turns = 2 * self.turns + beside(self.beam.direction_moves, V) / self.speed
+        bend = (turns + norm(self.light_moves(p)) / distance) ** 2
+        value = Cosine(gradient, point, direction, *self.rest(point, p, rounded, LARGEST * bend))
+        point = -toward / distance
+        return value, Cosine(gradient, point, direction, *self.rest(point, p, rounded), bend)
 
-    def rest(self, point: Real, p: Real, rounded: Real) -> tuple[Real, Real]:
+    def light_moves(self, p: Real) -> Real:
+        """How far the components of p - x move."""
+        lengths = np.abs(p)
+        return self.beam.start_moves + lengths + DIFFERENCE / DECISION * (lengths + self.beam.reach)
+
+    def rest(self, point: Real, p: Real, rounded: Real, second: Real | float = 0.0) -> tuple[Real, Real]:
         """How far a cosine moves with the light's position, and all its roundings; `point` as in Cosine."""
-        return dot(np.abs(point), np.abs(p)), DIFFERENCE * dot(np.abs(point), np.abs(p) + self.beam.reach) + rounded
+        moves = dot(np.abs(point), np.abs(p)) + second
+        return moves, DIFFERENCE * dot(np.abs(point), np.abs(p) + self.beam.reach) + rounded
 
     def of(self, cosine: Cosine) -> Gradient:
         """By x, d and the sphere: the surface's gradient is g = (x - p) / s^2."""
         bent, shape = cosine.gradient * self.flat, self.shape
         scalings = -2 * shape.gradient * cosine.gradient
         start, position = bent + cosine.point, -bent * shape.position
-        return Gradient(start, cosine.direction, position, scalings, cosine.rest, cosine.rounded)
+        return Gradient(start, cosine.direction, position, scalings, cosine.rest, cosine.rounded, cosine.bend)
 
 
 class Terms:

@@ -1,13 +1,15 @@
 """How far each pixel is from a discontinuity, and how much its values move: first-order analysis in float64.
 
 Everything is per unit of a relative change delta of the pixel's ray and of every number of the scene. A decision
-"g > 0" can flip where delta is its margin, |g| over the motion of g; a value moves by delta times its sensitivity. Both
-also count what a careful renderer rounds on the way: DECISION roundings in a decision, and VALUE in a value, count like
-one change of all numbers. docs/tolerances.md has the formulas in the same order.
+"g > 0" can flip where delta is its margin, |g| over the motion of g; a value moves by delta times its sensitivity.
+Where they are at an extreme the second order counts as well. Both also count what a careful renderer rounds on the way:
+DECISION roundings in a decision, and VALUE in a value, count like one change of all numbers. docs/tolerances.md has the
+formulas in the same order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from tracer.cosines import NORMAL, Cosines, Terms
 from tracer.motion import (
     DECISION,
+    EQUATION,
     NEAR,
     VALUE,
     Beam,
@@ -24,6 +27,7 @@ from tracer.motion import (
     Shape,
     Vectors,
     along,
+    beside,
     carry,
     mirrored,
     norm,
@@ -142,6 +146,7 @@ class Band:
         count = rays.pixel.size
         self.position = np.array([s.position for s in scene.spheres], dtype=np.float64).reshape(-1, 3).T
         self.light = np.array([p.position for p in scene.lights], dtype=np.float64).reshape(-1, 3).T
+        self.ends = light_ends(self.light[:, None, :], self.position[:, :, None], tables.scaling[:, :, None])
         self.margins = {kind: np.full(count, np.inf) for kind in MARGINS}
         self.primary: dict[str, Real] = {}
         self.lighted: dict[str, Real] = {}
@@ -211,17 +216,37 @@ class Band:
         # An angle: no more than the sum of the lengths of all turns.
         sensitivity["normal"][pixel] = beam.size(np.sqrt((normals**2).sum(axis=1)), VALUE) + NORMAL / VALUE
 
-    def form(self, j: int, y: Real, t: Real | float | None, lengths: Real) -> tuple[Real, Gradient]:
+    def form(
+        self,
+        j: int,
+        y: Real,
+        t: Real | float | None,
+        lengths: Real,
+        beam: Beam,
+        counts: Flags,
+        axis: Real | None = None,
+    ) -> tuple[Real, Gradient]:
         """The decision |y| > 1, where rays are at y in the unit space of sphere j, at t; None: at their starts.
 
-        `lengths` are those that the point is made of, by component.
+        `lengths` are those that the point is made of, by component. `counts`: where it is asked for. `axis`: the ray's
+        unit vector there, if only what y moves across it tells.
         """
         scaling, position = self.tables.scaling[:, j : j + 1], self.position[:, j : j + 1]
         g, squares = y / scaling, y * y
+        gap = (squares.sum(axis=0) - 1) / 2
+
+        def strays(some: Index) -> Real:
+            made_of = lengths[:, some] + np.abs(position)
+            moves = beam.start_moves[:, some] + np.abs(position) + EQUATION / DECISION * made_of
+            if t is not None:
+                moves += (t[some] if isinstance(t, np.ndarray) else t) * beam.direction_moves[:, some]
+            moves = moves / scaling + np.abs(y[:, some])
+            return norm(moves) if axis is None else beside(moves, axis[:, some])
+
         # Half of |y|^2 changes with the point by g, and with the sphere's numbers.
         rounded = rounding(g, lengths + np.abs(position))
-        of = Gradient(g, None if t is None else t * g, -g * position, -squares, np.zeros_like(rounded), rounded)
-        return (squares.sum(axis=0) - 1) / 2, of
+        by_direction, bend = None if t is None else t * g, leaves(counts & (gap < 0), strays)
+        return gap, Gradient(g, by_direction, -g * position, -squares, np.zeros_like(rounded), rounded, bend)
 
     def first_hits(self, rays: Rays, sphere: Index, t: Real, beam: Beam, after: float) -> dict[int, Flags]:
         """The decisions on the way to the nearest hits: outlines, and the near plane; returns who meets each sphere."""
@@ -233,7 +258,8 @@ class Band:
             root = np.where(line.near > after, line.near, line.far)
             first[j] = np.where(line.meets & (root > after) & (rays.start != j), root, np.inf)
             if after:
-                of = self.form(j, origin + after * direction, after, beam.reach + np.abs(after * rays.direction))
+                lengths = beam.reach + np.abs(after * rays.direction)
+                of = self.form(j, origin + after * direction, after, lengths, beam, every)
                 self.decide({"range": every}, rays.pixel, beam, *of, j)
         for j, line in lines.items():
             # The outline of a sphere that would be seen where it begins: before the nearest hit on any other one.
@@ -241,7 +267,8 @@ class Band:
             rival = np.where(sphere == j, np.min(others, axis=0, initial=np.inf), t) * (1 + SLACK)
             middle = line.height / line.speed
             counts = (rays.start != j) & (middle > after * (1 - SLACK)) & (middle < rival)
-            of = self.form(j, line.middle, middle, beam.reach + np.abs(middle * rays.direction))
+            lengths = beam.reach + np.abs(middle * rays.direction)
+            of = self.form(j, line.middle, middle, lengths, beam, counts, line.axis)
             self.decide({"silhouette": counts}, rays.pixel, beam, *of, j)
         # On its own sphere a ray that runs inside meets the other root.
         return {j: np.isfinite(root) | ((rays.start == j) & rays.inside) for j, root in first.items()}
@@ -253,7 +280,7 @@ class Band:
             if (other & (rival | goes_on)).any():
                 y, _ = to_unit_space(self.tables, at.x, at.x.direction, j)
                 counts = {"order": other & rival, "range": other & goes_on}
-                self.decide(counts, at.x.pixel, beam, *self.form(j, y, None, beam.reach), j)
+                self.decide(counts, at.x.pixel, beam, *self.form(j, y, None, beam.reach, beam, other), j)
 
     def shading(self, at: Surface, beam: Beam, shape: Shape, direction: Real, bounce: int) -> dict[str, Real]:
         """The decisions behind each light, and how much the terms move, by pass."""
@@ -271,9 +298,8 @@ class Band:
             intensity = tables.intensity[:, light : light + 1]
             dull, glossy = kd * intensity * color, ks * intensity * np.ones_like(color)
             has_dull, has_glossy = (dull != 0).any(axis=0), (glossy != 0).any(axis=0)
-            by_NL = cosines.incident(seen, p)
-            of = cosines.of(by_NL)
-            moves = beam.bound(of)
+            by_NL, sign = cosines.incident(seen, p)
+            of, moves = cosines.of(sign), beam.bound(cosines.of(by_NL))
 
             asked = np.flatnonzero((NL + NEAR * moves > 0) & (has_dull | has_glossy | (bounce == 0)))
             hides, by_others = np.ones(i.size, bool), np.zeros(i.size, bool)
@@ -297,10 +323,9 @@ class Band:
             lit = has_glossy & facing & ~hides
             if not lit.any():
                 continue
-            by_RV = cosines.mirrored(seen, p)
-            of = cosines.of(by_RV)
-            moves = beam.bound(of)
-            self.decide({"terminator": lit & (n < 1)}, pixel, beam, RV, of, i)
+            by_RV, sign = cosines.mirrored(seen, p)
+            moves = beam.bound(cosines.of(by_RV))
+            self.decide({"terminator": lit & (n < 1)}, pixel, beam, RV, cosines.of(sign), i)
             lit &= RV + REACH * moves > 0
             # The derivative of (R.V)^n; where R.V is nearly 0, at the far end of what it may reach.
             base = np.where(n < 1, np.abs(RV), np.maximum(RV, np.minimum(REACH * moves, 1)))
@@ -379,13 +404,32 @@ class Segments:
         self.side = int(band.tables.light_side[sphere, light])
         self.p, self.c = band.light[:, light : light + 1], band.position[:, sphere : sphere + 1]
         self.s = band.tables.scaling[:, sphere : sphere + 1]
+        #: The margin of the side of the surface that the light is on.
+        self.end = float(band.ends[sphere, light])
 
-    def margin(self, gap: Real, by_o: Real, by_d: Real, counts: Flags | None = None) -> Real:
+    def moves(self, y: Real, t: Real | float, some: Index) -> Real:
+        """How far the components of o + t d = y move, for some of the lines."""
+        at = t if isinstance(t, float) else t[some]
+        start, own = self.beam.start_moves[:, some], self.beam.reach[:, some]
+        end, center = np.abs(self.p), np.abs(self.c)
+        found = np.abs(1 - at) * start + np.abs(at) * end + center
+        found += EQUATION / DECISION * (own + center + np.abs(at) * (own + end))
+        moves: Real = found / self.s + np.abs(y[:, some])
+        return moves
+
+    def direction_moves(self) -> Real:
+        """How far the components of d move."""
+        end = np.abs(self.p)
+        found = self.beam.start_moves + end + EQUATION / DECISION * (self.beam.reach + end)
+        moves: Real = found / self.s + np.abs(self.direction)
+        return moves
+
+    def margin(self, gap: Real, by_o: Real, by_d: Real, counts: Flags | None = None, bend: Real | float = 0.0) -> Real:
         """The margin of a decision on o and d, where it counts."""
         scalings = -by_o * self.origin - by_d * self.direction
         by_o, by_d = by_o / self.s, by_d / self.s
         rounded = rounding(by_o, self.beam.reach + np.abs(self.c)) + rounding(by_d, self.beam.reach + np.abs(self.p))
-        of = Gradient(by_o - by_d, None, -by_o * self.c, scalings, dot(np.abs(by_d), np.abs(self.p)), rounded)
+        of = Gradient(by_o - by_d, None, -by_o * self.c, scalings, dot(np.abs(by_d), np.abs(self.p)), rounded, bend)
         if counts is None:
             return self.beam.margin(gap, of, self.sphere, self.limit)
         return np.where(counts, self.beam.margin(gap, of, self.sphere, np.where(counts, self.limit, 0)), np.inf)
@@ -397,42 +441,73 @@ class Segments:
         if self.side == 0:
             # The roots are 1, which does not hide, and, by their product, c / a.
             a, c = dot(d, d), dot(o, o) - 1
-            ends = np.minimum(*(self.margin(c - end * a, 2 * o, -2 * end * d) for end in (epsilon, 1.0)))
+            every = np.arange(a.size)
+            by_o, by_d = 2 * norm(self.moves(o, 0.0, every)) ** 2, 2 * norm(self.direction_moves()) ** 2
+            ends = np.minimum(
+                *(
+                    self.margin(gap, 2 * o, -2 * end * d, bend=np.where(gap < 0, by_o, end * by_d))
+                    for end, gap in ((end, c - end * a) for end in (epsilon, 1.0))
+                )
+            )
             return blocks, np.full_like(ends, np.inf), ends
         line = chord(o, d)
         y, middle = o + epsilon * d, line.height / line.speed
-        starts_inside, ends_inside, end = dot(y, y) < 1, self.side < 0, self.light_end()
+        starts_inside, ends_inside, end = dot(y, y) < 1, self.side < 0, self.end
         # The start counts where the line leaves the sphere there, or leads to a light inside; ...
-        ends = self.margin((dot(y, y) - 1) / 2, y, epsilon * y, (dot(y, d) > 0) | ends_inside)
+        counts = (dot(y, d) > 0) | ends_inside
+        bend = leaves(counts & starts_inside, lambda some: norm(self.moves(y, epsilon, some)))
+        ends = self.margin((dot(y, y) - 1) / 2, y, epsilon * y, counts, bend)
         # ... the light's end where the line enters there, or starts inside.
         sided = (dot(o + d, d) < 0) | starts_inside
         self.beside = sided & (end < BESIDE)
         ends = np.where(sided, np.minimum(ends, end), ends)
+        if ends_inside:
+            # A light inside has to leave the sphere on the side where lines enter.
+            behind = dot(o + d, d) / line.speed
+            strays = norm(self.moves(o + d, 1.0, np.arange(behind.size))) + norm(self.direction_moves()) / line.speed
+            ends = np.minimum(ends, np.where(sided, end, np.maximum(end, ratio(behind, strays))))
         # The outline counts between the two, with both outside.
         over = (middle > epsilon * (1 - SLACK)) & (middle < 1 + SLACK) & (blocks | ~line.meets)
         y = line.middle
         # A light just inside, on a chord so short that the line may miss all of it, counts too.
         outside = ~starts_inside & (not ends_inside or middle < 1)
-        outline = self.margin((dot(y, y) - 1) / 2, y, middle * y, over & outside)
+        counts, gap = over & outside, (dot(y, y) - 1) / 2
+        bend = leaves(counts & (gap < 0), lambda some: beside(self.moves(y, middle, some), line.axis[:, some]))
+        outline = self.margin(gap, y, middle * y, counts, bend)
         return blocks, outline, ends
 
     def of_own(self, epsilon: float) -> tuple[Flags, Real, Real]:
         """The same from points of the sphere's inside, which start from x in unit space."""
         n, d = self.origin, self.direction
-        t, end = other_root(n, d), self.light_end()
+        t, end = other_root(n, d), self.end
         # t > epsilon: -2 n.d - epsilon d.d
-        start = self.margin(-2 * dot(n, d) - epsilon * dot(d, d), -2 * d, -2 * (n + epsilon * d))
+        by_d = norm(self.direction_moves())
+        bend = 4 * beside(self.moves(n, 0.0, np.arange(t.size)), n) * by_d + 2 * epsilon * by_d**2
+        start = self.margin(-2 * dot(n, d) - epsilon * dot(d, d), -2 * d, -2 * (n + epsilon * d), bend=bend)
         blocks = own_hides(n, d, self.side, epsilon)
         self.beside = (t > epsilon) & (end < BESIDE)
         ends = np.where(blocks, np.minimum(start, end), np.where(t > epsilon, end, start))
         return blocks, np.full_like(ends, np.inf), ends
 
-    def light_end(self) -> float:
-        """The margin of the side of the surface that the light is on."""
-        y, lengths = (self.p - self.c) / self.s, np.abs(self.p) + np.abs(self.c)
-        gap, g = (dot(y, y) - 1) / 2, y / self.s
-        moves = dot(np.abs(g), lengths) + dot(y, y) + rounding(g, lengths) / DECISION
-        return float(ratio(gap, moves)[0])
+
+def light_ends(light: Real, center: Real, scaling: Real) -> Real:
+    """The margin of the side of each sphere that each light is on."""
+    y, lengths = (light - center) / scaling, np.abs(light) + np.abs(center)
+    gap, g = (dot(y, y) - 1) / 2, y / scaling
+    moves = dot(np.abs(g), lengths) + dot(y, y) + rounding(g, lengths) / DECISION
+    strays = norm((1 + EQUATION / DECISION) * lengths / scaling + np.abs(y))
+    return ratio(gap, moves, np.where(gap < 0, strays * strays, 0.0))
+
+
+def leaves(within: Flags, strays: Callable[[Index], Real]) -> Real:
+    """How (|y|^2 - 1) / 2 bends: a point within the sphere leaves it sooner than its derivatives tell.
+
+    `strays`: how far y moves at most, for some of the rays.
+    """
+    bend, some = np.zeros(within.shape), np.flatnonzero(within)
+    if some.size:
+        bend[some] = strays(some) ** 2
+    return bend
 
 
 def view_moves(view: View, direction: Real) -> Real:

@@ -33,10 +33,19 @@ def norm(v: Real) -> Real:
     return np.sqrt(dot(v, v))
 
 
-def ratio(gap: Real, motion: Real) -> Real:
-    """The margin of a decision: how far it is from flipping, over how fast it moves."""
-    margin: Real = np.abs(gap) / motion
+def ratio(gap: Real, motion: Real, bend: Real | float = 0.0) -> Real:
+    """The margin of a decision: the least delta with motion delta + bend delta^2 / 2 as large as its gap."""
+    size = np.abs(gap)
+    if np.any(bend):
+        motion = (motion + np.sqrt(motion * motion + 2 * bend * size)) / 2
+    margin: Real = size / motion
     return np.where(np.isnan(margin), 0.0, margin)
+
+
+def beside(moves: Real, axis: Real) -> Real:
+    """How far vectors move across unit vectors at most, when their components move that far."""
+    x, y, z = axis * axis
+    return dot(moves, np.sqrt(np.stack([y + z, z + x, x + y])))
 
 
 def along(columns: Vectors, v: Real) -> Columns:
@@ -49,7 +58,8 @@ def along(columns: Vectors, v: Real) -> Columns:
 class Gradient:
     """How a quantity of each ray depends on the ray's start and direction and, per relative change, on a sphere.
 
-    `rest`: how far it moves besides; `rounded`: by how many roundings it may be off besides.
+    `rest`: how far it moves besides; `rounded`: by how many roundings it may be off besides. `bend`: by how much times
+    delta^2 / 2 it comes nearer to 0, at most, than its derivatives tell.
     """
 
     start: Real
@@ -58,6 +68,7 @@ class Gradient:
     scaling: Real
     rest: Real
     rounded: Real
+    bend: Real | float = 0.0
 
     def own(self) -> Real:
         """How far it moves with the sphere's numbers alone."""
@@ -67,7 +78,8 @@ class Gradient:
     def __getitem__(self, some: Index) -> Gradient:
         direction = None if self.direction is None else self.direction[:, some]
         position, scaling = self.position[:, some], self.scaling[:, some]
-        return Gradient(self.start[:, some], direction, position, scaling, self.rest[some], self.rounded[some])
+        bend = self.bend if isinstance(self.bend, float) else self.bend[some]
+        return Gradient(self.start[:, some], direction, position, scaling, self.rest[some], self.rounded[some], bend)
 
 
 @dataclass
@@ -155,11 +167,12 @@ class Beam:
 
     def margin(self, gap: Real, of: Gradient, sphere: Index | int, limit: Real) -> Real:
         """The margin of gap > 0; where it is sure to be above the limit, or NEAR, a lower bound of it above that."""
-        found = ratio(gap, self.bound(of))
+        found = ratio(gap, self.bound(of), of.bend)
         some = np.flatnonzero(~(found >= np.minimum(limit, NEAR)))
         if some.size:
             spheres = sphere if isinstance(sphere, int) else sphere[some]
-            found[some] = ratio(gap[some], self[some].motion(of[some], spheres, DECISION))
+            part = of[some]
+            found[some] = ratio(gap[some], self[some].motion(part, spheres, DECISION), part.bend)
         return found
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import multiprocessing
 import multiprocessing.connection
 import os
-import random
 import resource
 import signal
 import threading
@@ -29,7 +27,6 @@ from tracer.passes import lookup, write_beside
 from validation import certify, encoding, renderers
 from validation.certify import PROVED, Miss, Proof, prove_scene
 from validation.compare import Judge, Mask, Record, json_value
-from validation.follow import rational
 from validation.ladders import LADDERS, SIDE, Ladder, get
 from validation.metrics import Array
 from validation.renderers import Renderer, Settings
@@ -47,7 +44,7 @@ from validation.run import (
     why_not,
 )
 from validation.terminal import colorful, console, number, print_failures
-from validation.truth import NOWHERE, Prover, UnprovedError
+from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -59,10 +56,6 @@ Named: TypeAlias = str | Renderer
 
 #: Seconds that one renderer may take for a rung, and truth for all of its pixels.
 SECONDS = 120.0
-#: An accused pixel is drawn again by truth from so many changed scenes, and of a rung and a pass so many pixels are.
-SHAKES, SHAKEN = 16, 16
-#: No claim is larger: above that margin nothing is near.
-LARGEST_CLAIM = 1 / 256
 #: A process that has grown so large is replaced: Mitsuba keeps what it compiles.
 LARGEST_BYTES = 3 << 30
 #: So many breaks are told in words.
@@ -75,14 +68,12 @@ class Standard:
 
     `held`: proved pixels with a pass that the claim does not excuse; `colors`: with `beauty`. `wrong`: proved pixels
     with a wrong decision that it does not excuse. `ratio`: the largest error of `beauty` over its tolerance where held,
-    None where nothing is. `unsteady`: pixels left out of both, as truth itself does not hold there: see `Shaker`.
-    `worst`: the pixel with the least excuse.
+    None where nothing is. `worst`: the pixel with the least excuse.
     """
 
     held: int
     colors: int
     wrong: int
-    unsteady: int
     ratio: float | None
     worst: Miss | None
 
@@ -168,8 +159,8 @@ def prove_rung(ladder: Ladder, rung: str, settings: Settings) -> Proof:
         return prove_scene(ladder.scene(rung), settings, pixels=SIDE * SIDE, edges=0, jobs=1)
 
 
-def measure(proof: Proof, renderer: Renderer, label: str = "", shaker: Shaker | None = None) -> Step:
-    """Hold what a renderer draws against proved pixels; `shaker` keeps what it finds for other renderers.
+def measure(proof: Proof, renderer: Renderer, label: str = "") -> Step:
+    """Hold what a renderer draws against proved pixels.
 
     Raises:
         RendererError: it failed.
@@ -208,7 +199,7 @@ def measure(proof: Proof, renderer: Renderer, label: str = "", shaker: Shaker | 
     wrong = {name: _wrong(name, values, differences, proof, own) for name in wanted if name != "beauty"}
     held = _interior(own, proof, "beauty") if "beauty" in wanted else np.zeros(len(proof.x), bool)
     apart = differences["beauty"].max(axis=-1)[held] if "beauty" in wanted else np.zeros(0)
-    bench = _Bench(proof, values, differences, wrong, shaker or Shaker(proof))
+    bench = _Bench(proof, values, differences, wrong)
     brightest = float(np.abs(proof.value["beauty"]).max(initial=0.0)) or 1.0
     return Step(
         renderer=renderer.name,
@@ -257,57 +248,6 @@ def _wrong(
     return off & proof.lit[int(name.removeprefix("shadow.L"))]
 
 
-class Shaker:
-    """Truth about pixels when every number of the scene, and the ray, changes by a little.
-
-    Margins and tolerances are of first order. Where a quantity is at an extreme, as in the middle of a ball of no size,
-    they say that it does not move, and it moves all the same. So who is wrong above a margin is accused, and stands
-    convicted only if truth keeps to its word under random changes as large as the claim.
-    """
-
-    def __init__(self, proof: Proof) -> None:
-        """Of the scene that was proved."""
-        self.prover = Prover(proof.scene, proof.settings)
-        self.seen: dict[tuple[int, int, float], list[Mapping[str, list[float]]]] = {}
-
-    def moved(self, x: int, y: int, delta: float) -> list[Mapping[str, list[float]]]:
-        """What the pixel is in scenes that differ by that much: the same for ever."""
-        delta = min(delta, LARGEST_CLAIM)
-        if (x, y, delta) not in self.seen:
-            dice, numbers = random.Random(f"{x} {y}"), self.prover.numbers
-            found: list[Mapping[str, list[float]]] = []
-            length = float(np.linalg.norm([float(value.p) / float(value.q) for value in self.prover.direction(x, y)]))
-            for _ in range(SHAKES if delta > 0 else 0):
-                change = {name: rational(dice.choice((-delta, delta))) for name in numbers.of}
-                way = [dice.gauss(0, 1) for _ in range(3)]
-                size = delta * length / float(np.linalg.norm(way))
-                turn = (rational(way[0] * size), rational(way[1] * size), rational(way[2] * size))
-                with contextlib.suppress(*NOWHERE):
-                    changed = numbers.changed(change)
-                    truth = self.prover.with_numbers(changed, turn).pixel(x, y, ties=False)
-                    values = {name: [ball.value for ball in balls] for name, balls in truth.values.items()}
-                    for light in range(len(self.prover.scene.lights)):
-                        # A light that the surface does not face is neither hidden nor not.
-                        if not certify.faces(truth, changed.vector(f"l{light}.position")):
-                            values[f"shadow.L{light}"] = [math.nan]
-                    found.append(values)
-            self.seen[x, y, delta] = found
-        return self.seen[x, y, delta]
-
-    def steady(self, x: int, y: int, name: str, exact: Array, error: float, delta: float) -> bool:
-        """Whether a pass stays what it is: a decision the same, a colour nearer than what was drawn."""
-        for values in self.moved(x, y, delta):
-            if name == "beauty":
-                if np.abs(np.asarray(values[name]) - exact).max() >= error:
-                    return False
-            elif lookup(name).quantity == "color":
-                if any(values[name]) != bool((exact != 0).any()):
-                    return False
-            elif values[name][0] != exact[0]:
-                return False
-        return True
-
-
 @dataclass
 class _Bench:
     """What a renderer drew of proved pixels, and who is accused of what."""
@@ -316,22 +256,19 @@ class _Bench:
     values: Mapping[str, Array]
     differences: Mapping[str, Array]
     wrong: Mapping[str, Mask]  # by pass: where the decision that it shows is not that of truth
-    shaker: Shaker
 
     def hold(self, judge: Judge, *, colors: bool) -> Standard:
         """To a claim; `colors`: whether the errors of `beauty` count."""
         proof, at = self.proof, (self.proof.y, self.proof.x)
         accused: list[tuple[str, int]] = []  # those without an excuse, those of the least first
         wrong, held = np.zeros(len(proof.x), bool), np.zeros(len(proof.x), bool)
-        unsteady: set[int] = set()
         for name, off in self.wrong.items():
             held |= _interior(judge, proof, name)
             claim = certify.margins(judge, name, at)[1]
             places = [int(place) for place in np.flatnonzero(off & (claim >= 1))]
             places.sort(key=lambda place: -claim[place])
-            left = self._steady(judge, name, places, unsteady)
-            wrong[left] = True
-            accused += [(name, place) for place in left[:1]]
+            wrong[places] = True
+            accused += [(name, place) for place in places[:1]]
         own, ratio = np.zeros(len(proof.x), bool), None
         if "beauty" in self.differences:
             own = _interior(judge, proof, "beauty")
@@ -342,31 +279,15 @@ class _Bench:
             ratios = np.where(np.isnan(ratios), np.inf, ratios)
             places = [int(place) for place in np.flatnonzero(ratios > 1)]
             places.sort(key=lambda place: -ratios[place])
-            left = self._steady(judge, "beauty", places, unsteady)
-            ratio = float(max((ratios[place] for place in left), default=ratios[ratios <= 1].max(initial=0.0)))
-            accused += [("beauty", place) for place in left[:1]]
+            ratio = float(ratios.max(initial=0.0))
+            accused += [("beauty", place) for place in places[:1]]
         return Standard(
             held=int((held | own).sum()),
             colors=int(own.sum()),
             wrong=int(wrong.sum()),
-            unsteady=len(unsteady),
             ratio=ratio,
             worst=self._miss(judge, *accused[0]) if accused else None,
         )
-
-    def _steady(self, judge: Judge, name: str, places: list[int], unsteady: set[int]) -> list[int]:
-        """Those of accused pixels at which truth is steady; of many, what is found of the first is taken for all."""
-        left = []
-        for place in places[:SHAKEN]:
-            x, y = int(self.proof.x[place]), int(self.proof.y[place])
-            claims = [getattr(judge.renderer, kind) for kind in ("silhouette", "range", "order", "terminator")]
-            delta = min(float(np.asarray(claim)[y, x] if np.ndim(claim) else claim) for claim in claims)
-            error = float(self.differences[name][place].max())
-            if self.shaker.steady(x, y, name, self.proof.value[name][place], error, delta):
-                left.append(place)
-        excused = set(places if not left else places[:SHAKEN]) - set(left)
-        unsteady |= excused
-        return [place for place in places if place not in excused]
 
     def _miss(self, judge: Judge, name: str, place: int) -> Miss:
         """A pixel of a pass, in its worst channel."""
@@ -414,7 +335,6 @@ def climb(
     steps: dict[str, Step] = {}
     try:
         proof = prove_rung(ladder, task.rung, settings)
-        shaker = Shaker(proof)
     except UnprovedError as error:
         return Rung(ladder=ladder.name, rung=task.rung), [f"{label}: {error}"]
     for entry in tested:
@@ -429,7 +349,7 @@ def climb(
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", tracer.SceneWarning)
-                steps[name] = measure(proof, renderer, label, shaker)
+                steps[name] = measure(proof, renderer, label)
         except RendererError as error:
             steps[name] = Step(renderer=name, failed=str(error).splitlines()[0])
     return (
@@ -698,7 +618,6 @@ def _step(step: Step) -> Record:
             "held": held.held,
             "colors": held.colors,
             "wrong": held.wrong,
-            "unsteady": held.unsteady,
             "ratio": held.ratio,
             "worst": held.worst
             and {"pass" if name == "pass_name" else name: value for name, value in vars(held.worst).items()},

@@ -211,6 +211,49 @@ def test_each_kind_sees_its_decision(gap: float) -> None:
         assert axis([zoo.sphere((-0.6, 0, -3), n=2, kr=0)], [light])["terminator"] > 0.01
 
 
+@pytest.mark.parametrize("radius", [1e-3, 1e-5, 1e-8])
+def test_the_middle_of_a_speck_is_as_near_to_its_outline_as_it_is_small(radius: float) -> None:
+    """The discriminant is at its largest there, and does not move to first order."""
+
+    def about(margin: float) -> bool:
+        return radius / 60 <= margin <= 3 * radius
+
+    off_axis = View(near=1, left=-0.75, right=0.25, bottom=-0.25, top=0.75, columns=1, rows=1)
+    for frustum, place in ((None, (0, 0, -4)), (off_axis, (-3, 3, -4))):
+        speck = zoo.sphere(place, radius, kr=0)
+        found = analyse(
+            zoo.scene([speck], [], frustum or View(near=1, left=0, right=1, bottom=-1, top=0, columns=1, rows=1))
+        )
+        assert about(float(found.margins["silhouette"][0, 0]))
+    # On the image plane: whether the ray starts within it. In a mirror, and before a light.
+    assert about(axis([zoo.sphere((0, 0, -1), radius, kr=0)], [])["range"])
+    mirror = zoo.sphere((0, 0, -4), kr=0.5)
+    assert radius / 200 <= axis([mirror, zoo.sphere((0, 0, 5), radius, kr=0)], [])["silhouette"] <= radius
+    matt = zoo.sphere((0, 0, -4), kr=0)
+    assert about(axis([matt, zoo.sphere((0, 0, 2), radius, kr=0)], [zoo.light(0, 0, 9)])["silhouette"])
+    # Around a light.
+    assert about(axis([matt, zoo.sphere((0, 0, 2), radius, kr=0)], [zoo.light(0, 0, 2)])["range"])
+    # A plate of that thickness that fills the view has its outline far away.
+    assert axis([zoo.sphere((0, 0, -4), (1, 1, radius), kr=0)], [])["silhouette"] > 0.05
+    floor = View(near=1, left=0, right=0.2, bottom=-0.2, top=0, columns=1, rows=1)
+    plate = zoo.scene([zoo.sphere((0, -0.5, -4), (2, radius, 2), kr=0)], [], floor)
+    assert analyse(plate).margins["silhouette"][0, 0] > 0.01
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-5, 1e-8])
+def test_a_light_straight_above_a_surface_is_as_near_to_it_as_it_is(gap: float) -> None:
+    """N.L is at its largest or smallest there, and does not move to first order; R.V likewise."""
+    for height in (gap, -gap):
+        light = zoo.light(0, 0, -3 + height)
+        assert gap / 60 <= axis([zoo.sphere((0, 0, -4), kr=0)], [light])["terminator"] <= gap
+    sharp = axis([zoo.sphere((0, 0, -4), n=0.5, kr=0)], [zoo.light(0, 0, -3 + gap)])
+    assert gap / 60 <= sharp["terminator"] <= gap
+    # So a colour may be anything, as far as a change of that size goes.
+    frustum = View(near=1, left=0, right=1, bottom=-1, top=0, columns=1, rows=1)
+    found = analyse(zoo.scene([zoo.sphere((0, 0, -4), kr=0)], [zoo.light(0, 0, -3 + gap)], frustum))
+    assert found.sensitivity["diffuse"][0, 0] * 64 * UNIT >= 0.1 * min(1, (64 * UNIT / gap) ** 2)
+
+
 def test_reflections_count_where_they_are_seen() -> None:
     # The mirror at the axis sends the ray back past the eye; a sphere behind the eye is just hit or missed.
     def margin(kr: float) -> float:

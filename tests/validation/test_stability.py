@@ -28,7 +28,7 @@ from validation.curves import write_curves
 from validation.ladders import LADDERS, Ladder, get, names
 from validation.renderers import Settings, Uncertainty
 from validation.renderers.native import Native
-from validation.stability import Shaker, Stability, Standard, Step, measure, prove_rung, stability
+from validation.stability import Stability, Standard, Step, measure, prove_rung, stability
 
 #: As a renderer draws one rung.
 ONE = Settings(threads=1)
@@ -53,10 +53,6 @@ def cells(result: Stability, standard: str = "own") -> dict[str, str]:
 # ---- what holds
 
 
-#: What breaks, and why that is known: the discriminant in float32 across a plate that thin.
-KNOWN = {("flat-along", "native-f32", "1e7")}
-
-
 @pytest.mark.parametrize("ladder", LADDERS, ids=names())
 def test_our_kernels_hold_above_64_roundings_and_draw_no_nan(ladder: Ladder) -> None:
     result = climbed([ladder], "native-f64", "native-f32")
@@ -66,7 +62,7 @@ def test_our_kernels_hold_above_64_roundings_and_draw_no_nan(ladder: Ladder) -> 
             assert step is not None
             assert step.own == step.careful  # for our own renderers the two claims are one
             assert step.not_numbers == 0
-            assert not step.broken("own") or (ladder.name, name, rung) in KNOWN, step.says("own")
+            assert not step.broken("own"), f"{rung}: {step.says('own')}"
             # Only what the specification has outside of float32's range is refused.
             assert not step.refused or (name == "native-f32" and "1e15" in step.refused), step.refused
 
@@ -204,41 +200,25 @@ def test_who_refuses_does_not_break() -> None:
     ]
 
 
-def test_margins_of_first_order_accuse_and_truth_acquits() -> None:
-    """In the middle of a ball of no size the discriminant is at its largest: to first order it does not move."""
-    ladder, rung = get("speck-off-axis"), "1e-7"
-    proof = prove_rung(ladder, rung, ONE)
-    shaker = Shaker(proof)
-    exact = np.array([0.0])
-    unit = 2.0**-24
-    assert not shaker.steady(4, 6, "id", exact, 1.0, 64 * unit)
-    # What may move by less stays, as does what is wrong elsewhere.
-    assert shaker.steady(4, 6, "id", exact, 1.0, 2.0**-50)
-    assert shaker.steady(4, 6, "id", exact, 1.0, 0.0)
-    assert shaker.steady(3, 3, "id", np.array([-1.0]), 1.0, 64 * unit)
+@pytest.mark.parametrize(("ladder", "rung"), [("speck-off-axis", "1e-7"), ("far-off-axis", "1e9")])
+def test_nobody_has_to_meet_a_ball_that_a_rounding_takes_away(ladder: str, rung: str) -> None:
+    """In its middle the discriminant is at its largest: to first order it does not move."""
+    proof = prove_rung(get(ladder), rung, ONE)
     missing = Double(draw=lambda scene, passes, settings: doubles.faithful(without(scene), passes, settings))
     step = measure(proof, missing)  # float64 has no such excuse
     assert step.own is not None
-    assert (step.own.wrong, step.own.unsteady) == (1, 0)
+    assert step.own.wrong >= 1
     single = dataclasses.replace(missing, claim=Native("f32").uncertainty(proof.scene, ONE))
     step = measure(proof, single)
     assert step.own is not None
-    assert (step.own.wrong, step.own.unsteady, step.own.worst) == (0, 1, None)
-    assert step.wrong == 1
+    assert (step.own.wrong, step.own.worst) == (0, None)
+    assert step.wrong >= 1
 
 
 def without(scene: Scene) -> Scene:
     """The ball moved out of sight."""
     (ball,) = scene.spheres
     return scene.replace(spheres=[ball.replace(position=(0, 0, 8))])
-
-
-def test_shakes_are_the_same_for_ever() -> None:
-    proof = prove_rung(get("grazing"), "1e-6", ONE)
-    one, other = (Shaker(proof).moved(10, 3, 1e-6) for _ in range(2))
-    assert one == other
-    assert len(one) == climbing.SHAKES
-    assert {values["id"][0] for values in one} == {-1.0, 0.0}
 
 
 def test_names_are_short_where_that_is_clear() -> None:
@@ -420,7 +400,7 @@ def test_ctrl_c_keeps_what_was_found(run: Any, tmp_path: Path, monkeypatch: Any)
 
 
 def test_standards() -> None:
-    good = Standard(held=3, colors=3, wrong=0, unsteady=0, ratio=1.0, worst=None)
+    good = Standard(held=3, colors=3, wrong=0, ratio=1.0, worst=None)
     assert not good.broken
     assert dataclasses.replace(good, ratio=1.01).broken
     assert dataclasses.replace(good, ratio=float("inf")).broken
