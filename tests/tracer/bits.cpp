@@ -217,6 +217,94 @@ Scene make(std::uint64_t seed) {
     return scene;
 }
 
+double product(const Vec3 &a, const Vec3 &b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+Vec3 sum(const Vec3 &a, double s, const Vec3 &b) { return {a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]}; }
+
+Vec3 direction(Random &random) {
+    for (;;) {
+        const Vec3 v{random.between(-1, 1), random.between(-1, 1), random.between(-1, 1)};
+        const double length = std::sqrt(product(v, v));
+        if (length > 0.1 && length < 1) return sum({}, 1 / length, v);
+    }
+}
+
+// A huge ball that is no axis' own, small ones at a place on it, and a window about the edge of the shadow of the
+// first: what is decided there hangs on the roundings of the huge one.
+Scene make_huge(std::uint64_t seed) {
+    Random random(seed);
+    Scene scene;
+    const bool mirror = random.chance(0.3);
+    const double radius = std::pow(10, random.chance(0.2) ? random.between(13, 15) : random.between(2, 6.5));
+    const Vec3 place{random.between(-1, 1), random.between(-1, 1), -random.between(3, 8)};
+    Vec3 up = direction(random);
+    if (product(up, place) > 0) up = sum({}, -1, up);
+    const auto add = [&](const Vec3 &center, double size, double kr) {
+        Sphere sphere;
+        sphere.name = "s";
+        sphere.position = center;
+        sphere.scaling = {size, size, size};
+        sphere.color = {0.9, 0.5, 0.3};
+        sphere.ka = 0.2;
+        sphere.kd = 0.7;
+        sphere.ks = 0.5;
+        sphere.kr = kr;
+        sphere.exponent = 8;
+        scene.spheres.push_back(sphere);
+    };
+    add(sum(place, -radius, up), radius, mirror ? 0.8 : 0);
+    const double size = random.between(0.2, 0.5);
+    const Vec3 center = sum(place, size * random.between(1, 2), up);
+    add(center, size, 0);
+    if (mirror)  // all but below the plane that touches the mirror at the place
+        for (int k = 0; k < 2; ++k) {
+            const double own = std::pow(10, random.between(-2, 0.5));
+            Vec3 aside = direction(random);
+            aside = sum(aside, -product(aside, up), up);
+            const double gap = (random.chance(0.5) ? 1 : -1) * std::pow(10, random.between(-8, -1));
+            add(sum(sum(place, random.between(0.1, 10), aside), -own * (1 + gap), up), own, 0);
+        }
+    Light light;
+    light.name = "l";
+    light.position = sum(sum(place, random.between(2, 5), up), 2, direction(random));
+    light.intensity = {0.7, 0.6, 0.5};
+    scene.lights.push_back(light);
+    // Where the ray from the light that touches the small ball meets the plane through the place.
+    const Vec3 to_center = sum(center, -1, light.position);
+    Vec3 across = direction(random);
+    across = sum(across, -product(across, to_center) / product(to_center, to_center), to_center);
+    const double off = size * random.between(0.9, 1.1) / std::sqrt(product(across, across));
+    const Vec3 touching = sum(to_center, off, across);
+    const double t = product(sum(place, -1, light.position), up) / product(touching, up);
+    Vec3 edge = t > 0 ? sum(light.position, t, touching) : place;
+    if (!(edge[2] < -0.2)) edge = place;
+    const double half = std::pow(10, random.between(-5, -1));
+    scene.view = {1,
+                  edge[0] / -edge[2] - half,
+                  edge[0] / -edge[2] + half,
+                  edge[1] / -edge[2] - half,
+                  edge[1] / -edge[2] + half,
+                  1 + static_cast<std::int64_t>(random.below(3)),
+                  8 + static_cast<std::int64_t>(random.below(30))};
+    scene.background = {0.1, 0.2, 0.3};
+    scene.ambient = {0.5, 0.5, 0.5};
+    return scene;
+}
+
+// More spheres than there are lists for.
+Scene make_many(std::uint64_t seed) {
+    Random random(seed);
+    Scene scene = make(seed);
+    const std::vector<Sphere> some = scene.spheres;
+    for (int k = 0; k < 300; ++k) {
+        Sphere sphere = some[random.below(some.size())];
+        sphere.position = {random.between(-4, 4), random.between(-4, 4), -random.between(2, 12)};
+        for (double &s : sphere.scaling) s = random.between(0.05, 0.6);
+        scene.spheres.push_back(sphere);
+    }
+    return scene;
+}
+
 // The bytes of passes, one after the other. What is asked for decides which way a kernel takes.
 enum class Asked { bytes, colors, all };
 constexpr const char *asked_names[] = {"bytes", "colors", "all passes"};
@@ -345,7 +433,7 @@ bool is_fit(const Scene &scene, Precision precision) {
 }
 
 void draw_random(std::uint64_t seed, Comparison &comparison) {
-    Scene scene = make(seed);
+    Scene scene = seed % 100 == 99 ? make_many(seed) : seed % 3 == 2 ? make_huge(seed) : make(seed);
     if (seed % 11 == 0) {  // rows of several spans
         scene.view.columns = 250 + static_cast<std::int64_t>(seed % 401);
         scene.view.rows = 5;
