@@ -242,6 +242,7 @@ class _Task:
         return {
             "key": self.key,
             "renderer": f"native-{self.precision}",
+            "kernel": True,
             "scene": self.scene.text(),
             "settings": settings,
         }
@@ -256,7 +257,7 @@ class _Task:
 
     @property
     def bytes(self) -> int:
-        return self.pixels * 3 * int(self.precision[1:]) // 8
+        return self.pixels * 3
 
 
 class _Bench:

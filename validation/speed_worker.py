@@ -88,6 +88,28 @@ class Job:
         return {"size": size, "versions": versions, "precision": getattr(self.program, "precision", "")}
 
 
+class KernelJob(Job):
+    """Our own kernels alone: the bytes of an image, drawn into memory that is there already."""
+
+    def __init__(self, request: Mapping[str, Any]) -> None:
+        """Everything is read; nothing is drawn."""
+        import numpy as np
+
+        super().__init__(request)
+        view = self.scene.view
+        self.levels = np.zeros((view.rows, view.columns, 3), np.uint8)
+
+    def draw(self) -> tuple[float, float]:
+        """As a Job does."""
+        from tracer import _native
+
+        s, target = self.settings, [("beauty8", 0, self.levels)]
+        precision = self.program.name.removeprefix("native-")
+        busy, start = _busy(), time.perf_counter()
+        _native.render_into(self.scene, target, precision, s.threads, s.sample, s.shadow_epsilon, s.max_reflections)
+        return time.perf_counter() - start, _busy() - busy
+
+
 class Worker:
     """The requests, a method each."""
 
@@ -110,8 +132,11 @@ class Worker:
         return Job(request).survey()
 
     def first(self, request: Mapping[str, Any]) -> Answer:
-        """A new job, drawn once. `probing`: seconds that were spent to find out whether the renderer can run."""
-        job = Job(request)
+        """A new job, drawn once. `probing`: seconds that were spent to find out whether the renderer can run.
+
+        `kernel`: nothing but bytes is asked of our own kernels.
+        """
+        job = KernelJob(request) if request.get("kernel") else Job(request)
         start = time.perf_counter()
         if reason := job.program.unavailable():
             return {"error": reason}
@@ -154,14 +179,11 @@ class Worker:
         return {}
 
     def write(self, request: Mapping[str, Any]) -> Answer:
-        """Seconds to write the last picture, as bytes, into a new file."""
-        from tracer.passes import quantise
-
+        """Seconds to write the last picture of a kernel into a new file."""
         job = self.jobs[request["key"]]
-        assert job.last is not None
-        levels = quantise(job.last["beauty"])
-        rows, columns, _ = levels.shape
-        data = b"P6\n%d %d\n255\n" % (columns, rows) + levels.tobytes()
+        assert isinstance(job, KernelJob)
+        rows, columns, _ = job.levels.shape
+        data = b"P6\n%d %d\n255\n" % (columns, rows) + job.levels.tobytes()
         found, path = [], Path(request["path"])
         for _ in range(request["most"]):
             start = time.perf_counter()

@@ -30,6 +30,7 @@ const std::map<std::string, PassKind> kinds = {
     {"reflection", PassKind::reflection}, {"reflection.*", PassKind::reflection_order},
     {"depth", PassKind::depth},           {"position", PassKind::position},
     {"normal", PassKind::normal},         {"id", PassKind::id},
+    {"beauty8", PassKind::beauty8},  // the bytes of a file, which is no pass of the table: for measuring
 };
 
 std::string checked_instruction_set() {

@@ -534,9 +534,7 @@ struct Kernel {
     }
 
     // The byte of v is 255 v, clamped, its fraction cut off; NaN becomes 0.
-    static WHITTED_INLINE P byte(P v) {
-        return minimum(maximum(P(zero), v), P(one)) * P(Real(255));
-    }
+    static WHITTED_INLINE P byte(P v) { return minimum(maximum(P(zero), v), P(one)) * P(Real(255)); }
 
     // Rays on their way from mirror to mirror.
     struct Chain {
