@@ -17,6 +17,7 @@ from tracer import Light, Scene, Sphere, View, margins, reference
 from tracer.passes import MARGINS, SAMPLES, Passes, Sample, names
 from validation import compare_passes
 from validation.compare import Judge
+from validation.ladders import get as get_ladder
 from validation.renderers import Renderer, Settings, Uncertainty, get
 from validation.renderers.mitsuba import MitsubaSpec, epsilons, path, precision, stock, variants
 from validation.renderers.mitsuba.epsilons import RAY_EPSILON
@@ -24,6 +25,7 @@ from validation.renderers.mitsuba.path import MitsubaPath
 from validation.renderers.mitsuba.stock import MitsubaStock
 from validation.rules import Rule
 from validation.run import validate
+from validation.stability import measure, prove_rung
 from validation.truth import Prover
 
 pytestmark = pytest.mark.mitsuba
@@ -853,3 +855,45 @@ def test_the_ambient_term_is_everywhere_and_hidden_by_nothing(need: Need) -> Non
     expected = np.array([0.5, 1, 1])[found["id"]][..., None] * color
     assert {*np.unique(found["id"])} == {0, 1, 2}
     assert found["ambient"] == pytest.approx(expected, rel=1e-6)
+
+
+# ---- what is too hard for float32
+
+
+@pytest.mark.parametrize(
+    ("ladder", "rung", "renderer"),
+    [
+        ("flat-along", "1e5", "mitsuba-spec@llvm"),
+        ("flat-along", "1e5", "mitsuba-path@llvm"),
+        ("flat-along", "1e8", "mitsuba-spec@llvm"),
+        ("flat-across", "1e7", "mitsuba-spec@llvm"),
+        ("flat-across", "1e8", "mitsuba-stock@scalar"),
+        ("larger", "1e12", "mitsuba-stock@scalar"),
+    ],
+)
+def test_it_keeps_its_claims_on_plates_of_no_thickness_and_far_out(
+    ladder: str, rung: str, renderer: str, need: Need
+) -> None:
+    drawing = get(renderer)
+    need(drawing.unavailable() is None, str(drawing.unavailable()))
+    one = Settings(threads=1)
+    step = measure(prove_rung(get_ladder(ladder), rung, one), drawing)
+    assert step.wrong > 0 or ladder == "larger"
+    assert step.own is not None
+    assert not step.broken("own"), step.says("own")
+
+
+def test_a_camera_of_180_degrees_is_refused() -> None:
+    for rung, draws in (("1e6", True), ("1e7", False), ("1e12", False)):
+        wide = get_ladder("wide").scene(rung)
+        for renderer in (MitsubaStock("scalar"), MitsubaPath("llvm")):
+            assert bool(renderer.passes(wide, Settings())) == draws
+            assert draws or "180 degrees in float32" in renderer.refusal(wide)
+        assert MitsubaSpec("llvm").passes(wide, Settings())
+
+
+def test_the_place_behind_a_mirror_is_not_asked_for_where_its_matrix_has_no_determinant() -> None:
+    # The floor's radius is 8: (4 x 8 x 2.18e11)^3 = 2^128.
+    for scale, shows in ((1e11, True), (1e12, False)):
+        large = get_ladder("larger").scene(f"{scale:.0e}".replace("+", ""))
+        assert ("reflection" in MitsubaStock("scalar").passes(large, Settings())) == shows

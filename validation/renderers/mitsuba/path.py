@@ -44,11 +44,11 @@ class MitsubaPath(Variant):
 
     def refusal(self, scene: Scene) -> str:
         """Why it has no pass for a scene."""
-        return stock.refusal(scene, self.backend) or "nothing"
+        return stock.refusal(scene, self.backend) or stock.too_wide(scene) or "nothing"
 
     def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
         """Every pass; those of the primary hit alone where its rays start too far beside a small sphere."""
-        if stock.refusal(scene, self.backend):
+        if stock.refusal(scene, self.backend) or stock.too_wide(scene):
             return ()
         every = names(len(scene.lights), settings.max_reflections, margins=False)
         small = epsilons.too_small(scene, settings) is not None

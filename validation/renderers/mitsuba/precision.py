@@ -34,6 +34,8 @@ SPHERE_ROUNDINGS = DECISION
 INSTANCE_ROUNDINGS = DECISION
 GROWTH = 2
 CHORD = 8
+#: A hit point of an instance is off by so many u of the way to the point next to the centre, in radii.
+POINT = 16
 #: Of what an equation is off by at a point, half the discriminant of a short chord next to it shows four times as much.
 SHORT = 4
 #: A light counts as beside a surface if its equation there is below this.
@@ -49,11 +51,12 @@ def uncertainty(scene: Scene, settings: Settings, *, float32_roots: bool) -> Unc
     hits: PerPixel = 0.0
     undecided: PerPixel = 0.0
     slope: PerPixel = 1.0
-    if (ellipsoids and float32_roots) or _window_inside(scene, settings):
-        losses = _losses(scene, settings, roundings)
+    thin = _thin(scene)
+    if (ellipsoids and float32_roots) or thin or _window_inside(scene, settings):
+        losses = _losses(scene, settings, roundings, UNIT_ROUNDOFF if float32_roots else floats.UNIT_ROUNDOFF["f64"])
         # 1: above the margin of any terminator.
         slope, undecided = losses.slope, losses.undecided.astype(np.float64)
-        if ellipsoids and float32_roots:
+        if (ellipsoids and float32_roots) or thin:
             oblique, hits = GROWTH * losses.oblique, GROWTH * losses.hits
     relative = ROOM * (roundings + oblique) * UNIT_ROUNDOFF
     # The slope of each root of the chain, 1 / sqrt(D), grows by sqrt(1 - 1 / ROOM) at most.
@@ -86,6 +89,16 @@ def _flat(lost: Any, size: Any, shortest: Any) -> Any:
     return CHORD * lost * UNIT_ROUNDOFF * size / shortest
 
 
+def _thin(scene: Scene) -> bool:
+    """Whether a ray may be so many radii from the centre of an ellipsoid that its hit points have no normal left."""
+    view = scene.view
+    corner = math.hypot(max(abs(view.left), abs(view.right)), max(abs(view.bottom), abs(view.top)), view.near)
+    spheres = [scene.spheres[i] for i in scene.distinct]
+    extent = max([corner, *(math.hypot(*s.position) + max(map(abs, s.scaling)) for s in spheres)])
+    shortest = [min(map(abs, s.scaling)) for s in spheres if len(set(map(abs, s.scaling))) > 1]
+    return any(4 * POINT * UNIT_ROUNDOFF * extent > length for length in shortest)
+
+
 def _window_inside(scene: Scene, settings: Settings) -> bool:
     """Whether any primary ray starts inside a sphere: no others ever come to see an inside."""
     frame = converter.window(scene.view, settings.sample)
@@ -101,14 +114,17 @@ def _window_inside(scene: Scene, settings: Settings) -> bool:
 class Losses:
     """Where Mitsuba's sphere routine loses digits, by pixel; the worst over the chain of rays of each."""
 
-    oblique: NDArray[np.float64]  # h^2, see `_oblique`
+    oblique: NDArray[np.float64]  # h^2, see `_oblique`, in units of what float32 makes of it
     hits: NDArray[np.float64]  # that of the spheres that are hit
     undecided: NDArray[np.bool_]  # a shadow ray inside a sphere whose other root float32 cannot tell
     slope: NDArray[np.float64]  # by how much the errors of roots grow where rays stay inside a sphere; inf: lost
 
 
-def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
-    """Follow every ray of the picture, in NumPy, and look at how it meets what it may meet."""
+def _losses(scene: Scene, settings: Settings, roundings: float, roots: float) -> Losses:
+    """Follow every ray of the picture, in NumPy, and look at how it meets what it may meet.
+
+    `roots`: the unit roundoff in which the sphere routine works.
+    """
     view, tables = scene.view, reference.Tables(scene, np.float64)
     eye = np.append(np.array([s.position for s in scene.spheres]).reshape(-1, 3).T, np.zeros((3, 1)), axis=1)
     lights = [np.array(light.position)[:, None] for light in scene.lights]
@@ -119,12 +135,13 @@ def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
         with np.errstate(all="ignore"):
             primary = reference.eye_rays(tables, view, settings.sample, rows)
             for rays, hits, at in reference.trace(tables, primary, settings.max_reflections):
-                _oblique(scene, part, rays.pixel, eye[:, rays.start] + rays.offset, rays.direction, hits.sphere)
+                start = eye[:, rays.start] + rays.offset
+                _oblique(scene, part, roots, rays.pixel, start, rays.direction, hits.sphere)
                 x = at.x
                 position = eye[:, x.start] + x.offset
                 facing = [np.flatnonzero((at.normal * (light - position)).sum(axis=0) > 0) for light in lights]
                 for light, lit in zip(lights, facing, strict=True):
-                    _oblique(scene, part, x.pixel[lit], position[:, lit], (light - position)[:, lit])
+                    _oblique(scene, part, roots, x.pixel[lit], position[:, lit], (light - position)[:, lit])
                 scaling = tables.scaling[:, x.start]
                 lost, shortest = roundings + GROWTH * part.oblique[x.pixel], scaling.min(axis=0)
                 size = np.linalg.norm(position, axis=0)
@@ -146,25 +163,40 @@ def _losses(scene: Scene, settings: Settings, roundings: float) -> Losses:
     )
 
 
-def _oblique(scene: Scene, part: Losses, pixel: NDArray[np.intp], origin: Any, direction: Any, hit: Any = -1) -> None:
+def _oblique(
+    scene: Scene,
+    part: Losses,
+    roots: float,
+    pixel: NDArray[np.intp],
+    origin: Any,
+    direction: Any,
+    hit: Any = -1,
+) -> None:
     """How far a ray still is from the point closest to an ellipsoid's centre when Mitsuba sets up the quadratic.
 
     In the ellipsoid's space, its radius 1. The routine first walks along the ray to that point, to keep the digits of
     the discriminant, but divides by |d| where |d|^2 is due: in an instance, where |d| < 1, it stops h short of it.
-    `hit` is the sphere that each ray hits.
+    `roots`: the unit roundoff of that. `hit` is the sphere that each ray hits: where the hit point is off by as much as
+    the radius, nothing is known of its normal.
     """
     direction = direction / np.linalg.norm(direction, axis=0)
     for i in scene.distinct:
         scaling = np.abs(np.array(scene.spheres[i].scaling))[:, None]
+        if np.ptp(scaling) == 0:
+            continue
         to_center = (np.array(scene.spheres[i].position)[:, None] - origin) / scaling
         local = direction * (scaling.min() / scaling)
         speed = np.linalg.norm(local, axis=0)
         along = (to_center * local).sum(axis=0) / speed
         beside = (to_center**2).sum(axis=0) - along**2
+        h_squared = (along * (1 - speed)) ** 2
         # Far from the outline no error of the discriminant decides anything.
-        h = np.where(beside < 4, along * (1 - speed), 0)
-        part.oblique[pixel] = np.maximum(part.oblique[pixel], h**2)
-        part.hits[pixel] = np.maximum(part.hits[pixel], np.where(hit == i, h**2, 0))
+        near = beside - 1 < np.maximum(3, ROOM * 3 * GROWTH * roots * h_squared)
+        h_squared = np.where(near, h_squared * (roots / UNIT_ROUNDOFF), 0)
+        part.oblique[pixel] = np.maximum(part.oblique[pixel], h_squared)
+        part.hits[pixel] = np.maximum(part.hits[pixel], np.where(hit == i, h_squared, 0))
+        lost = pixel[(hit == i) & (POINT * UNIT_ROUNDOFF * np.abs(along) > 1 / 2)]
+        part.undecided[lost], part.slope[lost] = True, np.inf
 
 
 def _cosine(normal: Any, direction: Any) -> Any:

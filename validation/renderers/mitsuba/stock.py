@@ -37,6 +37,10 @@ Image = NDArray[np.float64]
 
 #: Of the passes that do not depend on a light.
 SURFACES = ("depth", "position", "normal", "id")
+#: Half the field of view is off by so many u: below that the camera may look backwards. docs/tolerances.md derives it.
+ANGLE = 5
+#: The edge of a texture about a sphere is below this: Mitsuba inverts its matrix by the determinant, in float32.
+LARGEST_CUBE = 2.0 ** (128 / 3)
 #: The most mirrors in a chain: what COUNTING leaves of a color after them is still a normal number.
 DEEPEST = 100
 
@@ -48,11 +52,12 @@ class MitsubaStock(Variant):
 
     def refusal(self, scene: Scene) -> str:
         """Why it has no pass for a scene."""
-        return refusal(scene, self.backend) or "pixels that are not square need a camera of ours"
+        return refusal(scene, self.backend) or too_wide(scene) or "pixels that are not square need a camera of ours"
 
     def passes(self, scene: Scene, settings: Settings) -> tuple[str, ...]:
         """What stock plugins can say of this scene exactly."""
-        if refusal(scene, self.backend) or not converter.square_pixels(scene.view, settings.sample):
+        square = converter.square_pixels(scene.view, settings.sample)
+        if refusal(scene, self.backend) or too_wide(scene) or not square:
             return ()
         spheres = [scene.spheres[i] for i in scene.distinct]
         found = {*SURFACES, "ambient"}
@@ -122,6 +127,15 @@ def refusal(scene: Scene, backend: str) -> str | None:
     return None
 
 
+def too_wide(scene: Scene) -> str | None:
+    """Why Mitsuba's own camera cannot show a window, None if it can: what float32 leaves of angles near 180 degrees."""
+    view = scene.view
+    width = view.right - view.left
+    if not converter.square_pixels(view) or view.near >= ANGLE * UNIT_ROUNDOFF * width:
+        return None
+    return f"its window is {width / view.near:.2g} times as wide as it is near, which is 180 degrees in float32"
+
+
 def mirrors(scene: Scene, settings: Settings) -> bool:
     """Whether anything shows in a mirror."""
     return settings.max_reflections > 0 and any(scene.spheres[i].kr for i in scene.distinct)
@@ -133,6 +147,7 @@ def _reflects(scene: Scene, settings: Settings) -> bool:
         mirrors(scene, settings)
         and converter.stock_mirrors(scene)
         and settings.max_reflections <= DEEPEST
+        and all(sphere.kr or 4 * abs(sphere.scaling[0]) < LARGEST_CUBE for sphere in scene.spheres)
         and epsilons.too_small(scene, settings) is None
     )
 
