@@ -1288,8 +1288,7 @@ def speed(
             if kernels:
                 from validation import speed_kernels
 
-                label, scene = next(iter(loaded.items()))
-                result.kernels = speed_kernels.kernels(label, scene, size=size, progress=progress)
+                result.kernels = speed_kernels.kernels(loaded, size=size, progress=progress)
         result.command = command
         print_speed(result)
         if json_file:

@@ -19,7 +19,7 @@ from tracer import Light, Scene, Sphere, View
 from validation.compare import Record, json_value
 from validation.renderers import Settings
 from validation.run import resized
-from validation.speed import PIXELS, Process, Spread, WorkerError, instruction_sets, process, processors
+from validation.speed import Process, Spread, WorkerError, instruction_sets, process, processors
 
 if TYPE_CHECKING:
     from tracer.passes import Precision
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 SIZES = (100, 200, 400, 1000, 2000, 4000, 8000)
 COUNTS = (1, 2, 5, 10, 20, 50, 100)
 REFLECTIONS = (0, 1, 2, 3, 5, 8)
-#: Columns and rows of the scenes of our own making.
-EDGE = 256
+#: Columns and rows of the scenes of our own making; of those that instruction sets are compared on.
+EDGE, STANDARD = 256, 2000
 #: Side of the square picture whose bytes are written.
 WRITTEN = 4000
 #: The line is no line if a time is off it by more than this share.
@@ -342,8 +342,7 @@ def _free_memory() -> int:
 
 
 def kernels(
-    label: str,
-    scene: Scene,
+    scenes: Mapping[str, Scene],
     settings: Settings | None = None,
     *,
     size: tuple[int, int] | None = None,
@@ -353,20 +352,21 @@ def kernels(
     seconds: float = SECONDS,
     progress: Callable[[str], None] | None = None,
 ) -> Kernels:
-    """Measure the kernels on a scene, and on scenes with many spheres and lights.
+    """Measure the kernels on scenes, all but the instruction sets on the first, and with many spheres and lights.
 
     `size`: where instruction sets are compared; `edge`: columns and rows where threads are; `seconds`: for each kind,
     about.
     """
+    label, scene = next(iter(scenes.items()))
     start, result, settings = time.perf_counter(), Kernels(label), settings or Settings()
-    standard = resized(scene, size or (math.isqrt(PIXELS),) * 2, limits=False)
     every = len(processors())
     with ExitStack() as stack:
         bench = _Bench(stack, result, progress or (lambda _: None), seconds)
         if not bench.processes:
             return result
         best = bench.best
-        _instruction_sets(bench, standard, settings)
+        for name, other in scenes.items():
+            _instruction_sets(bench, name, resized(other, size or (STANDARD, STANDARD), limits=False), settings)
 
         def vary(group: str, tasks: Mapping[int, Scene], count: int = 1, **changes: Any) -> list[Row]:
             return bench.measure(
@@ -408,8 +408,8 @@ def kernels(
     return result
 
 
-def _instruction_sets(bench: _Bench, scene: Scene, settings: Settings) -> None:
-    """Every instruction set in both precisions, and in the same rounds what the machine can do with it."""
+def _instruction_sets(bench: _Bench, label: str, scene: Scene, settings: Settings) -> None:
+    """Every instruction set in both precisions; on the first scene, in the same rounds, what the machine can do."""
     most: dict[tuple[str, str], dict[str, float]] = {}
 
     def limits() -> None:
@@ -419,13 +419,14 @@ def _instruction_sets(bench: _Bench, scene: Scene, settings: Settings) -> None:
                 most[isa, precision] = {kind: max(rate, known[kind]) for kind, rate in rates.items()}
 
     tasks = [
-        _Task("instruction set", isa, isa, precision, 1, scene, settings)
+        _Task(f"instruction set, {label}", isa, isa, precision, 1, scene, settings)
         for precision in PRECISIONS
         for isa in bench.processes
     ]
-    for row in bench.measure(tasks, limits):
-        rates = most[row.isa, row.precision]
-        bench.result.limits.append(Limit(row.isa, row.precision, pixels=row.speed, **rates))
+    measured = bool(bench.result.limits)  # with the scene before
+    for row in bench.measure(tasks, None if measured else limits):
+        if not measured:
+            bench.result.limits.append(Limit(row.isa, row.precision, pixels=row.speed, **most[row.isa, row.precision]))
 
 
 def _write(bench: _Bench, scene: Scene, settings: Settings, edge: int) -> None:

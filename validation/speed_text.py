@@ -193,6 +193,15 @@ def limit_rows(result: Kernels) -> list[list[str]]:
 
 def sentences(result: Kernels) -> Iterator[str]:
     """What the tables come to."""
+    for group in dict.fromkeys(row.group for row in result.rows if row.group.startswith("instruction set")):
+        speeds = {(row.isa, row.precision): row.speed for row in result.rows if row.group == group}
+        ratios = [
+            f"{isa} {speed / speeds[isa, 'f64']:.2f}"
+            for (isa, precision), speed in speeds.items()
+            if precision == "f32" and (isa, "f64") in speeds
+        ]
+        if ratios:
+            yield f"float32 as many times as quick as float64, {group.partition(', ')[2]}: {', '.join(ratios)}"
     for what, fit in result.fits.items():
         name, precision = what.split(", ")
         yield f"{name}s, {precision}: {fit.says(name)}"

@@ -520,15 +520,23 @@ def test_a_mesh_is_no_renderer_to_compare_with() -> None:
 def kernels() -> speed_kernels.Kernels:
     """Measured in a hurry."""
     return speed_kernels.kernels(
-        "full", doubles.full(), size=(64, 48), sizes=(16, 32), counts=(1, 3, 9), seconds=0.01, edge=32
+        {"full": doubles.full(), "again": doubles.full()},
+        size=(64, 48),
+        sizes=(16, 32),
+        counts=(1, 3, 9),
+        seconds=0.01,
+        edge=32,
     )
 
 
 def test_the_kernels_are_measured_in_every_way(kernels: speed_kernels.Kernels) -> None:
     groups = {row.group for row in kernels.rows}
-    assert groups == {"instruction set", "size", "spheres", "lights", "reflections", "threads"}
-    sets = {(row.value, row.precision) for row in kernels.rows if row.group == "instruction set"}
-    assert sets == {(isa, precision) for isa in here() for precision in ("f64", "f32")}
+    of_sets = {"instruction set, full", "instruction set, again"}
+    assert groups == of_sets | {"size", "spheres", "lights", "reflections", "threads"}
+    for group in of_sets:
+        sets = {(row.value, row.precision) for row in kernels.rows if row.group == group}
+        assert sets == {(isa, precision) for isa in here() for precision in ("f64", "f32")}
+    assert len(kernels.limits) == 2 * len(here())
     for row in kernels.rows:
         assert row.speed == pytest.approx(row.size[0] * row.size[1] / row.warm.median)
         assert row.ratio is not None
@@ -568,7 +576,7 @@ class Timed:
 def test_ratios_are_of_pixels_a_second_and_to_the_first_of_their_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed_kernels, "process", lambda isa: contextlib.nullcontext(Timed(isa)))
     monkeypatch.setattr(speed_kernels, "instruction_sets", lambda: ("scalar", "sse2"))
-    found = speed_kernels.kernels("full", doubles.full(), sizes=(16, 64), counts=(1, 9), edge=32)
+    found = speed_kernels.kernels({"full": doubles.full()}, sizes=(16, 64), counts=(1, 9), edge=32)
     for row in found.rows:
         assert row.ratio is not None
         assert row.ratio.median == pytest.approx(2 if row.value == "sse2" else 1), row
@@ -578,15 +586,16 @@ def test_ratios_are_of_pixels_a_second_and_to_the_first_of_their_kind(monkeypatc
     assert costs == {"scalar": pytest.approx((2000, 8)), "sse2": pytest.approx((1000, 4))}
     assert found.written is not None
     assert found.record()["written"]["bytes_per_second"] == pytest.approx(1e9)
+    assert next(speed_text.sentences(found)).endswith("full: scalar 2.00, sse2 2.00")
 
 
 def test_a_picture_that_does_not_fit_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed_kernels, "_free_memory", lambda: 100_000)
     found = speed_kernels.kernels(
-        "full", doubles.full(), size=(16, 16), sizes=(16, 64), counts=(1,), seconds=0.01, edge=16
+        {"full": doubles.full()}, size=(16, 16), sizes=(16, 128), counts=(1,), seconds=0.01, edge=16
     )
-    assert any(re.match(r"size 64, f64: 0 MiB, 0 MiB are free", line) for line in found.left_out)
-    assert not any(row.value == 64 for row in found.rows)
+    assert any(re.match(r"size 128, f64: 0 MiB, 0 MiB are free", line) for line in found.left_out)
+    assert not any(row.value == 128 for row in found.rows)
 
 
 @pytest.mark.parametrize("count", [1, 9, 100])
@@ -616,7 +625,7 @@ def test_the_kernels_are_in_the_results(
     words = ("--renderer", "native-f32@scalar", *QUICK, "--kernels", "--json", results, "--report", tmp_path / "page")
     found = run("speed", scene, *words)
     assert found.status == 0
-    assert "kernels by instruction set" in found.out
+    assert "kernels by instruction set, full" in found.out
     assert "spheres, f64: " in found.out
     assert "kernels by threads" in (tmp_path / "page" / "index.html").read_text()
     assert strict(results.read_text())["kernels"]["rows"]
