@@ -412,8 +412,9 @@ class _Worker:
 
     def end(self) -> None:
         """At once, with everything that it has started."""
+        assert self.process.pid is not None
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.process.pid or 0, signal.SIGKILL)
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()
         self.process.join()
         self.connection.close()
@@ -738,7 +739,14 @@ def print_stability(result: Stability) -> None:
     for ladder, ours, other in result.outlasted():
         end = ladder.rungs[result.end(ladder, ours)]
         broken_there = (result.breaks(ladder, ours, "careful") or [""])[0] == end
-        how = "breaks" if broken_there else "says nothing"
+        step = result.rungs[ladder.name, end].steps[ours]
+        how = (
+            "breaks"
+            if broken_there
+            else f"refuses ({step.refused.partition('error: ')[2] or step.refused})"
+            if step.refused
+            else "says nothing"
+        )
         click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)

@@ -1,5 +1,5 @@
 // Packets of 256 bits: the limits of avx2.
-#include "limits.hpp"
+#include "limits_loops.hpp"
 
 namespace whitted {
 

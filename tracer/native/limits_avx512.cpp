@@ -1,5 +1,5 @@
 // Packets of 512 bits: the limits of avx512.
-#include "limits.hpp"
+#include "limits_loops.hpp"
 
 namespace whitted {
 

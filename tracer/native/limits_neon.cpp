@@ -1,5 +1,5 @@
 // Packets of 128 bits: the limits of neon.
-#include "limits.hpp"
+#include "limits_loops.hpp"
 
 namespace whitted {
 

@@ -1,5 +1,5 @@
 // One number at a time: the limits of scalar.
-#include "limits.hpp"
+#include "limits_loops.hpp"
 
 namespace whitted {
 

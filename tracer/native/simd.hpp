@@ -1,4 +1,4 @@
-// Packets of floating point numbers: the one place that knows vector widths. Included by kernel_*.cpp only.
+// Packets of floating point numbers: the one place that knows vector widths. Included by kernel_*.cpp and limits_*.cpp.
 //
 // Everything here is in an unnamed namespace and always inlined, so that no function compiled for one instruction set
 // can be linked into another's path, and no vector crosses a call.
