@@ -739,14 +739,13 @@ def print_stability(result: Stability) -> None:
     for ladder, ours, other in result.outlasted():
         end = ladder.rungs[result.end(ladder, ours)]
         broken_there = (result.breaks(ladder, ours, "careful") or [""])[0] == end
-        step = result.rungs[ladder.name, end].steps[ours]
-        how = (
-            "breaks"
-            if broken_there
-            else f"refuses ({step.refused.partition('error: ')[2] or step.refused})"
-            if step.refused
-            else "says nothing"
-        )
+        refused = result.rungs[ladder.name, end].steps[ours].refused
+        if broken_there:
+            how = "breaks"
+        elif refused:
+            how = f"refuses ({refused.partition('error: ')[2] or refused})"
+        else:
+            how = "says nothing"
         click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
