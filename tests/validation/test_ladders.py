@@ -58,6 +58,11 @@ def gap(scene: Scene) -> Fraction:
     return length(minus(centre(scene), centre(scene, 1))) - radius(scene) - radius(scene, 1)
 
 
+def low(scene: Scene, j: int) -> Fraction:
+    """The end of a sphere that is farthest from the eye."""
+    return centre(scene, j)[2] - Fraction(scene.spheres[j].scaling[2])
+
+
 def half(scene: Scene) -> Fraction:
     """Of the window's width."""
     assert scene.view.left == -scene.view.right
@@ -140,8 +145,8 @@ MEASURES: dict[str, Callable[[Scene], Fraction]] = {
     "grazing-mirror": zoomed(middle_touches_after_mirror),
     "terminator": zoomed(middle_turns_dark),
     "shadow-edge": zoomed(shadow_ray_touches),
-    "blocker-surface": gap,
-    "blocker-light": lambda s: length(minus(light(s), centre(s, 1))) - radius(s, 1),
+    "blocker-surface": lambda s: low(s, 1) - centre(s)[2] - radius(s),
+    "blocker-light": lambda s: light(s)[2] - centre(s, 1)[2] - Fraction(s.spheres[1].scaling[2]),
     "epsilon": zoomed(leaves_at_epsilon),
     "epsilon-above": lambda s: shell(s) / EPSILON - 1,
     "epsilon-below": lambda s: 1 - shell(s) / EPSILON,
