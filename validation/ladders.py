@@ -238,6 +238,23 @@ def blocker_at_surface(g: Fraction) -> Scene:
     return scene(window(Fraction(3, 8) * g, near=HALF), spheres, lights)
 
 
+def blocker_around(g: Fraction) -> Scene:
+    """The eye and the lights are in a ball, whose wall is g to 5/2 g over the surface outside that the window shows.
+
+    It stands askew there: to the right of the middle it lies before the image plane, and the surface is seen behind
+    it, dark; to the left behind the plane, where its inside is seen, lit; farther left it is below the surface, which
+    is lit there. So one root alone hides a light, that at the gap. That light is 8 g above, a second one 1/4, so that
+    t is 4 g to 10 g there.
+    """
+    wall = g - 1  # where it crosses the image plane on the axis, its normal (-3, 0, -4) / 5
+    spheres = [
+        ball("ball", (0, 0, -2), 1),
+        ball("around", (Fraction(6, 5), 0, Fraction(8, 5) + wall), 2, RED),
+    ]
+    view = window(2 * g, near=-wall)
+    return scene(view, spheres, [lamp((0, 0, 8 * g - 1)), lamp((HALF, 0, -3 * QUARTER))])
+
+
 def blocker_at_light(g: Fraction) -> Scene:
     """The light is beside the eye, and the blocker before it: its shadow is always as large."""
     light = (2 * g, 0, 0)
@@ -402,6 +419,7 @@ def _ladders() -> tuple[Ladder, ...]:
         Ladder("terminator", "A window about a point with N.L = 0.", "half width", zoom, terminator),
         Ladder("shadow-edge", "A window about a shadow ray that touches its blocker.", "half width", zoom, shadow_edge),
         Ladder("blocker-surface", "A blocker near the surface that it shades.", "gap", apart, blocker_at_surface),
+        Ladder("blocker-around", "A light in a ball whose wall is near a surface.", "gap", apart, blocker_around),
         Ladder("blocker-light", "A blocker near the light.", "gap", apart, blocker_at_light),
         Ladder(
             "epsilon", "A window about a shadow ray that leaves its blocker at t = 0.0001.", "half width", zoom, epsilon

@@ -140,6 +140,14 @@ def height_of_light(scene: Scene) -> Fraction:
     return length(minus(light(scene), centre(scene))) / radius(scene) - 1
 
 
+def over_the_surface(scene: Scene) -> Fraction:
+    """Of the place where the axis meets the image plane, on the second sphere, which eye and lights are in."""
+    x: Point = (Fraction(0), Fraction(0), -Fraction(scene.view.near))
+    assert length(minus(x, centre(scene, 1))) / radius(scene, 1) == pytest.approx(1, rel=1e-15)
+    assert all(length(minus(p, centre(scene, 1))) < radius(scene, 1) for p in (EYE, light(scene), light(scene, 1)))
+    return x[2] - centre(scene)[2] - radius(scene)
+
+
 #: What climbs, worked out of the scene alone.
 MEASURES: dict[str, Callable[[Scene], Fraction]] = {
     "far-on-axis": lambda s: length(centre(s)) / radius(s),
@@ -156,6 +164,7 @@ MEASURES: dict[str, Callable[[Scene], Fraction]] = {
     "terminator": zoomed(middle_turns_dark),
     "shadow-edge": zoomed(shadow_ray_touches),
     "blocker-surface": lambda s: low(s, 1) - centre(s)[2] - radius(s),
+    "blocker-around": over_the_surface,
     "blocker-light": lambda s: light(s)[2] - centre(s, 1)[2] - Fraction(s.spheres[1].scaling[2]),
     "epsilon": zoomed(leaves_at_epsilon),
     "epsilon-above": lambda s: shell(s) / EPSILON - 1,
@@ -259,6 +268,7 @@ def proof(name: str, rung: str) -> Proof:
 #: Where pixels have to be lit, and others hidden; or dark in a mirror, and others not.
 LIT = {
     "blocker-surface": ["shadow.L0"],
+    "blocker-around": ["shadow.L0"],
     "blocker-light": ["shadow.L0"],
     "touching": ["shadow.L0"],
     "light-outside": ["shadow.L0"],
@@ -283,9 +293,10 @@ def test_what_a_gap_decides_is_seen_on_every_rung(name: str) -> None:
                 assert min(counts) >= SIDE * SIDE / 10, (rung, decision)
 
 
-def test_a_blocker_at_the_surface_is_before_the_shadow_epsilon_of_one_light_and_behind_that_of_the_other() -> None:
-    for rung in get("blocker-surface").rungs:
-        near, far = (proof("blocker-surface", rung).value[f"shadow.L{i}"][:, 0] for i in (0, 1))
+@pytest.mark.parametrize("name", ["blocker-surface", "blocker-around"])
+def test_what_hides_one_light_is_before_the_shadow_epsilon_of_the_other_where_the_gap_is_smaller(name: str) -> None:
+    for rung in get(name).rungs:
+        near, far = (proof(name, rung).value[f"shadow.L{i}"][:, 0] for i in (0, 1))
         if Fraction(rung) < EPSILON:
             assert far.all()
         else:
@@ -411,6 +422,11 @@ FALLS = [
     ("blocker-surface", {"beyond": 1e-7}, "1e-8"),
     # A step aside moves the shadow, which is as small as the gap.
     ("blocker-surface", {"beside": 1e-7}, "1e-5"),
+    # The only root is at the gap and up to 5/2 of it.
+    ("blocker-around", {"beyond": 2e-3}, "1e-3"),
+    ("blocker-around", {"beyond": 2e-7}, "1e-7"),
+    ("blocker-around", {"beside": 2e-3}, "1e-3"),
+    ("blocker-around", {"beside": 2e-7}, "1e-7"),
     # The light is farther than the blocker is from it by 2 / gap.
     ("blocker-light", {"short": 1e-3}, "1e-3"),
     ("blocker-light", {"short": 1e-7}, "1e-7"),
