@@ -214,16 +214,52 @@ def shadow_edge(h: Fraction) -> Scene:
     return scene(window(h), [ball("ball", (0, 0, -9), 5), blocker], lamp((6, 0, 4)))
 
 
+def flake(at: Point, size: Number) -> Sphere:
+    """A blocker that faces the eye, half as wide to each side as what it is measured by, an eighth of that thick.
+
+    Both of its roots lie between `size` and 9/8 `size` from what it shades, or from the light: if a ray begins or ends
+    a little later or earlier, there is nothing left that hides the light.
+    """
+    return ball("blocker", at, (size / 2, size / 2, size / 16), RED)
+
+
 def blocker_at_surface(g: Fraction) -> Scene:
-    """The window shows the place below it."""
-    spheres = [ball("ball", (0, -6, -4), 5), ball("blocker", (0, QUARTER - 1 + g, -4), QUARTER, RED)]
-    return scene(window(Fraction(1, 16), middle=(0, -QUARTER)), spheres, lamp((1, 3, -3)))
+    """The light is so low that the eye sees the place beside the blocker that this shades.
+
+    One light 64 g above that place, so that t is 1/64 for ever, and one 1 above it, so that t is g.
+    """
+    place = (0, 0, -1)  # on the ball, whose normal there faces the eye; the light comes along (4, 0, 3) / 5
+    height = g + g / 16
+    spheres = [
+        ball("ball", (0, 0, -2), 1),
+        flake((Fraction(4, 3) * height, 0, height + place[2]), g),
+    ]
+    lights = [lamp((Fraction(4, 3) * up, 0, up + place[2])) for up in (64 * g, 1)]
+    return scene(window(Fraction(3, 8) * g, near=HALF), spheres, lights)
+
+
+def blocker_around(g: Fraction) -> Scene:
+    """The eye and the lights are in a ball, whose wall is g to 5/2 g over the surface outside that the window shows.
+
+    It stands askew there: to the right of the middle it lies before the image plane, and the surface is seen behind
+    it, dark; to the left behind the plane, where its inside is seen, lit; farther left it is below the surface, which
+    is lit there. So one root alone hides a light, that at the gap. That light is 8 g above, a second one 1/4, so that
+    t is 4 g to 10 g there.
+    """
+    wall = g - 1  # where it crosses the image plane on the axis, its normal (-3, 0, -4) / 5
+    spheres = [
+        ball("ball", (0, 0, -2), 1),
+        ball("around", (Fraction(6, 5), 0, Fraction(8, 5) + wall), 2, RED),
+    ]
+    view = window(2 * g, near=-wall)
+    return scene(view, spheres, [lamp((0, 0, 8 * g - 1)), lamp((HALF, 0, -3 * QUARTER))])
 
 
 def blocker_at_light(g: Fraction) -> Scene:
-    """Beside the light, so that it hides one half of the ball."""
-    spheres = [ball("ball", (0, -6, -4), 5), ball("blocker", (EIGHTH + g, 1, -4), EIGHTH, RED)]
-    return scene(window(QUARTER, middle=(0, -QUARTER)), spheres, lamp((0, 1, -4)))
+    """The light is beside the eye, and the blocker before it: its shadow is always as large."""
+    light = (2 * g, 0, 0)
+    spheres = [ball("wall", (0, 0, -7), 5), flake((light[0], 0, -g - g / 16), g)]
+    return scene(window(3 * QUARTER), spheres, lamp(light))
 
 
 def epsilon(h: Fraction) -> Scene:
@@ -240,9 +276,19 @@ def shells(e: Fraction) -> Scene:
 
 
 def touching(g: Fraction) -> Scene:
-    """The window shows the place between them."""
-    spheres = [ball("left", (-1 - g / 2, 0, -5), 1, RED), ball("right", (1 + g / 2, 0, -5), 1, BLUE)]
-    return scene(window(Fraction(3, 16)), spheres, lamp((HALF, 3, -2)))
+    """The eye looks down into the place between them: a dull wall to the left, its picture in a mirror to the right.
+
+    At a height w over the narrowest place the walls are g + w^2 apart. So the window is sqrt(g) high and g wide, and
+    the light as low as that: it comes over the mirror, and ends on the wall at a height of about sqrt(g).
+    """
+    deep = g or Fraction(1, 10**6)  # what stands for g where that is 0
+    width = Fraction(math.sqrt(deep))
+    spheres = [
+        ball("left", (-1 - g / 2, 0, -1), 1, RED),
+        ball("right", (1 + g / 2, 0, -1), 1, WHITE, ka=0, kd=0, kr=0.5),
+    ]
+    view = window(Fraction(9, 8) * deep, near=HALF, high=Fraction(5, 8) * width)
+    return scene(view, spheres, lamp((24 * deep, 0, 8 * width - 1)))
 
 
 def coincident(g: Fraction) -> Scene:
@@ -270,14 +316,20 @@ def eye_inside(g: Fraction) -> Scene:
 
 
 def light_near(g: Fraction) -> Scene:
-    """At (3, 0, 4) / 5 of the radius over the surface, below it where g < 0; a second ball gets some of its light."""
-    spheres = [ball("ball", (-3, 0, -6), 5, ks=0.25, n=2), ball("other", (2, 0, -4), HALF, RED)]
-    return scene(window(HALF), spheres, lamp((-3 + 3 * (1 + g), 0, -6 + 4 * (1 + g))))
+    """A light over the wall of a room, within it where g < 0, and seen through the wall from what is outside.
+
+    The image plane opens the room: to the left the window shows its inside, to the right a ball outside. One of them
+    has the light, the other the wall before it; if the light lies on the wall, both have it.
+    """
+    spheres = [ball("room", (-1, 0, -1), 1), ball("other", (2, 0, -4), Fraction(7, 4), RED)]
+    return scene(window(HALF), spheres, lamp((g, 0, -1)))
 
 
 def light_at_centre(g: Fraction) -> Scene:
-    """The image plane opens the ball."""
-    return scene(window(1, near=3), [ball("ball", (0, 0, -4), 2, ks=0.25, n=8)], lamp((g, 0, -4)))
+    """The image plane opens the ball; a bead at its centre, half as large as the light is far, hides that from some."""
+    beads = [ball("bead", (0, 0, -4), g / 2, RED)] if g else []
+    light = (Fraction(3, 5) * g, 0, Fraction(4, 5) * g - 4)
+    return scene(window(1, near=3), [ball("ball", (0, 0, -4), 2), *beads], lamp(light))
 
 
 def near_plane(g: Fraction) -> Scene:
@@ -293,15 +345,16 @@ def exponent(n: Fraction) -> Scene:
 
 
 def between_mirrors(g: Fraction) -> Scene:
-    """Three bounces in the gap, with a red ball behind it."""
+    """The eye is in the gap, and so are a light and a bead, that is seen directly and after one to three bounces."""
     mirror = {"color": WHITE, "ka": 0.0, "kd": 0.0, "kr": 0.875}
     spheres = [
-        ball("left", (-1 - g / 2, 0, -5), 1, **mirror),  # type: ignore[arg-type]
-        ball("right", (1 + g / 2, 0, -5), 1, **mirror),  # type: ignore[arg-type]
-        ball("red", (0, 0, -9), 2, RED),
-        ball("blue", (0, HALF, 3), 1, BLUE),
+        ball("left", (-1 - g / 2, 0, 0), 1, **mirror),  # type: ignore[arg-type]
+        ball("right", (1 + g / 2, 0, 0), 1, **mirror),  # type: ignore[arg-type]
+        ball("bead", (0, 0, Fraction(-3, 2) * g), Fraction(7, 16) * g, RED),
     ]
-    return scene(window(Fraction(3, 16)), spheres, lamp((HALF, 3, -1)))
+    near = g / 64
+    view = window(3 * near, near=near, high=near / 3)
+    return scene(view, spheres, lamp((g / 4, g, -3 * QUARTER * g)))
 
 
 def inside_mirror(g: Fraction) -> Scene:
@@ -338,7 +391,7 @@ def speck_off_axis(r: Fraction) -> Scene:
 
 def _ladders() -> tuple[Ladder, ...]:
     gap = down(12, zero=True)
-    zoom = down(12)
+    zoom = apart = down(12)
     return (
         Ladder("far-on-axis", "A ball far away on the axis of the view.", "distance / radius", up(12, 1), far_on_axis),
         Ladder("far-off-axis", "A ball far away and aside.", "depth / radius", up(12, 1), far_off_axis),
@@ -365,8 +418,9 @@ def _ladders() -> tuple[Ladder, ...]:
         ),
         Ladder("terminator", "A window about a point with N.L = 0.", "half width", zoom, terminator),
         Ladder("shadow-edge", "A window about a shadow ray that touches its blocker.", "half width", zoom, shadow_edge),
-        Ladder("blocker-surface", "A blocker near the surface that it shades.", "gap", gap, blocker_at_surface),
-        Ladder("blocker-light", "A blocker near the light.", "gap", gap, blocker_at_light),
+        Ladder("blocker-surface", "A blocker near the surface that it shades.", "gap", apart, blocker_at_surface),
+        Ladder("blocker-around", "A light in a ball whose wall is near a surface.", "gap", apart, blocker_around),
+        Ladder("blocker-light", "A blocker near the light.", "gap", apart, blocker_at_light),
         Ladder(
             "epsilon", "A window about a shadow ray that leaves its blocker at t = 0.0001.", "half width", zoom, epsilon
         ),
@@ -406,7 +460,7 @@ def _ladders() -> tuple[Ladder, ...]:
             near_plane,
         ),
         Ladder("exponent", "A highlight that gets sharper.", "n", up(6), exponent),
-        Ladder("mirrors", "Three bounces between two mirrors that almost touch.", "gap", gap, between_mirrors),
+        Ladder("mirrors", "Three bounces between two mirrors that almost touch.", "gap", apart, between_mirrors),
         Ladder("inside-mirror", "The eye inside a mirror, looking along its wall.", "distance", zoom, inside_mirror),
         Ladder(
             "bright", "Ever brighter lights.", "intensity", up(30, 0, 3), lambda b: still_life(bright=b, glossy=True)
