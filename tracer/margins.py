@@ -437,7 +437,7 @@ class Segments:
     def of_other(self, epsilon: float) -> tuple[Flags, Real, Real]:
         """Whether a sphere hides the light from points of other ones; the margins of the outline and of both ends."""
         o, d = self.origin, self.direction
-        blocks = hides(o, d, self.side, epsilon)
+        blocks = hides(o, d, (self.p - self.c) / self.s, self.side, epsilon)
         if self.side == 0:
             # The roots are 1, which does not hide, and, by their product, c / a.
             a, c = dot(d, d), dot(o, o) - 1

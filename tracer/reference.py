@@ -239,13 +239,14 @@ def hidden(tables: Tables, x: Rays, to_light: Real, light: int, epsilon: float) 
     for j in tables.distinct:
         origin, direction = to_unit_space(tables, x, to_light, j)
         own = x.start == j
-        side = tables.light_side[j, light]
-        found |= np.where(own, own_hides(x.point, direction, side, epsilon), hides(origin, direction, side, epsilon))
+        side, end = tables.light_side[j, light], tables.toward[light][:, j : j + 1] / tables.scaling[:, j : j + 1]
+        blocks = hides(origin, direction, end, side, epsilon)
+        found |= np.where(own, own_hides(x.point, direction, side, epsilon), blocks)
     return found
 
 
-def hides(origin: Real, direction: Real, side: int, epsilon: float) -> Flags:
-    """Whether the unit sphere has a root epsilon < t < 1 on lines to a light at t = 1, on that side of its surface.
+def hides(origin: Real, direction: Real, end: Real, side: int, epsilon: float) -> Flags:
+    """Whether the unit sphere has a root epsilon < t < 1 on lines to a light at t = 1, at `end`, on that side of it.
 
     As the side is known, no root is held against 1, where rounding could take it to the wrong side of the light.
     """
@@ -259,8 +260,8 @@ def hides(origin: Real, direction: Real, side: int, epsilon: float) -> Flags:
         # The way to a light inside enters, unless it starts inside.
         enters: Flags = line.near > epsilon
         return enters
-    # Both roots are before a light outside where their middle is, or both behind it.
-    passes: Flags = line.meets & (line.far > epsilon) & (line.near + line.far < 2)
+    # Both roots are before a light outside where the line comes to it going away from the centre, else both behind it.
+    passes: Flags = line.meets & (line.far > epsilon) & (dot(end, direction) > 0)
     return passes
 
 

@@ -68,7 +68,7 @@ def test_our_kernels_hold_above_64_roundings_and_draw_no_nan(ladder: Ladder) -> 
 
 
 def test_every_pixel_of_a_rung_is_proved() -> None:
-    proof = prove_rung(get("mirrors"), "1e-12", ONE)
+    proof = prove_rung(get("mirrors"), "1e-9", ONE)
     assert (len(proof.x), proof.unproved) == (400, ())
     step = measure(proof, Native("f64"))
     assert step.own is not None

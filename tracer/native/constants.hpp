@@ -17,6 +17,7 @@ struct SphereList {
 template <class Real>
 struct Lamp {
     Real place[3];        // its place minus the sphere's p
+    Real end[3];          // the same in the sphere's unit space
     Real diffuse[3];      // Kd Ip
     Real specular[3];     // Ks Ip
     Real least_facing;    // n.d below minus this says for certain that N.L < 0

@@ -403,13 +403,13 @@ struct Kernel {
         return nearest;
     }
 
-    // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. side: of the light there, not 0.
-    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, bool steep, P epsilon, int side) {
+    // Whether sphere j meets x + t d with epsilon < t < 1, in its unit space. end_d: the light there times d; side: of
+    // it, not 0.
+    static WHITTED_LARGE Lanes meets(Vec o, P distance_squared, P c, Vec d, bool steep, P end_d, P epsilon, int side) {
         const Roots roots = intersect(o, c, d, steep, reach_squared(distance_squared));
-        // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it
-        // where their middle is, or both behind it.
-        return side < 0 ? roots.near_t > epsilon
-                        : roots.real & (roots.far_t > epsilon) & (roots.near_t + roots.far_t < P(Real(2)));
+        // The light is inside: the way there enters, unless it starts inside. It is outside: both roots are before it,
+        // or both behind it: as the ray comes to it going away from the centre, or not.
+        return side < 0 ? roots.near_t > epsilon : roots.real & (roots.far_t > epsilon) & (end_d > P(zero));
     }
 
     // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
@@ -443,12 +443,13 @@ struct Kernel {
             } else {
                 // What is certain without a division or a root: all but the rays near an outline.
                 const P g = -dot(o, d);
+                const P end_d = dot(broadcast(sphere.lamps[light].end), d);
                 Lanes free, dark;
                 if (side > 0) {
                     const P a = dot(d, d);
                     const P slack = P(scene.doubt) * (P(one) + distance_squared) * a + P(underflow);
                     const P discriminant = g * g - a * c;  // a D
-                    const P before = g * (a - g);          // above 0: the middle of the roots, g/a, is before the light
+                    const P before = g * end_d;  // above 0: the middle of the roots is between x and the light
                     free = (discriminant < -slack) | ((before < -slack) & (c >= P(zero)));
                     if (!any(asked & !(found | free))) continue;
                     dark = (discriminant > slack) & (before > slack) & (g > a * P(scene.certain_epsilon));
@@ -460,7 +461,7 @@ struct Kernel {
                 }
                 found = found | dark;
                 if (any(asked & !(found | free))) [[unlikely]]
-                    found = found | meets(o, distance_squared, c, d, sphere.steep, epsilon, side);
+                    found = found | meets(o, distance_squared, c, d, sphere.steep, end_d, epsilon, side);
             }
             if (!any(asked & !found)) return asked;
         }

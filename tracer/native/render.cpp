@@ -255,6 +255,8 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                 Lamp<Real> lamp{};
                 for (std::size_t k = 0; k < 3; ++k) {
                     lamp.place[k] = static_cast<Real>(light.position[k] - sphere.position[k]);
+                    lamp.end[k] =
+                        static_cast<Real>((light.position[k] - sphere.position[k]) / std::abs(sphere.scaling[k]));
                     lamp.diffuse[k] = static_cast<Real>(sphere.kd * light.intensity[k]);
                     lamp.specular[k] = static_cast<Real>(sphere.ks * light.intensity[k]);
                 }
