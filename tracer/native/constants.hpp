@@ -19,7 +19,6 @@ struct Lamp {
     Real place[3];        // its place minus the sphere's p
     Real diffuse[3];      // Kd Ip
     Real specular[3];     // Ks Ip
-    Real least_facing;    // n.d below minus this says for certain that N.L < 0
     SphereList blockers;  // what can stand between it and the sphere
     std::int32_t side;    // -1 inside the sphere, 0 on it, 1 outside, exactly
     bool adds;            // whether it lights the sphere at all
