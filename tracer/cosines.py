@@ -11,7 +11,7 @@ from tracer.reference import Flags, Light, Real, Surface, dot
 
 # Roundings at most: of a normal, and of the directions to a light and to the eye, as angles; of a difference of
 # positions, by the lengths it is made of; of N.L and of R.V besides.
-NORMAL, UNIT, DIFFERENCE, COSINE, SHINE = 4, 2, 3, 3, 40
+NORMAL, UNIT, DIFFERENCE, COSINE, SHINE = 4, 2, 3, 3, 46
 # Powers and products below 2^-24 times this, of a term's full size or of 1, may underflow to 0 in float32.
 UNDERFLOW = 2.0**-100
 # Where a cosine is at an extreme its second derivative tells: values count it for changes up to this.

@@ -20,7 +20,6 @@ struct Lamp {
     Real end[3];          // the same in the sphere's unit space
     Real diffuse[3];      // Kd Ip
     Real specular[3];     // Ks Ip
-    Real least_facing;    // n.d below minus this says for certain that N.L < 0
     SphereList blockers;  // what can stand between it and the sphere
     std::int32_t side;    // -1 inside the sphere, 0 on it, 1 outside, exactly
     bool adds;            // whether it lights the sphere at all

@@ -345,7 +345,16 @@ struct Kernel {
         Vec n;
         Vec offset;
         Lanes inside;
+        Vec gradient;  // g = n / |s_i|
+        P to_normal;   // 1 / |g|, below 0 where the inside is seen: N = g to_normal
     };
+    static WHITTED_INLINE SurfacePoint surface_point(const SceneConstants<Real> &scene, std::size_t i, Vec n,
+                                                     Lanes inside) {
+        const SphereConstants<Real> &sphere = scene.spheres[i];
+        const Vec gradient = n * broadcast(sphere.inverse_scale);
+        const P outward = P(one) / sqrt(dot(gradient, gradient));
+        return {i, n, n * broadcast(sphere.scale), inside, gradient, select(inside, -outward, outward)};
+    }
 
     // The point in the unit space of sphere j.
     static WHITTED_INLINE Vec seen_from(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t j) {
@@ -414,16 +423,17 @@ struct Kernel {
 
     // Whether some sphere meets x + t to_light with shadow_epsilon < t < 1. On which side of a sphere the light is, is
     // known exactly: so no root is held against 1, where rounding might take it to the wrong side of the light.
-    // own_d: to_light in the unit space of the sphere that x lies on; n_d: its product with n.
+    // g_d: the product of x's gradient with to_light.
     static WHITTED_LARGE Lanes hidden(const SceneConstants<Real> &scene, const SurfacePoint &x, std::size_t light,
-                                      SphereList blockers, Vec to_light, Vec own_d, P n_d, Lanes asked) {
+                                      SphereList blockers, Vec to_light, P g_d, Lanes asked) {
         const P epsilon(scene.shadow_epsilon);
         Lanes found = Lanes::none();
         // On this sphere the roots are 0 and the other one, which is before the light where that is outside.
         if (scene.spheres[x.sphere].lamps[light].side > 0) {
-            const P m = P(Real(-2)) * n_d;
+            const P m = P(Real(-2)) * g_d;
             if (any(asked & (m > P(zero)))) {
-                found = m / dot(own_d, own_d) > epsilon;
+                const Vec d = to_light * broadcast(scene.spheres[x.sphere].inverse_scale);
+                found = m / dot(d, d) > epsilon;
                 if (!any(asked & !found)) return asked;
             }
         }
@@ -483,55 +493,47 @@ struct Kernel {
         Vec ambient, diffuse, specular;
     };
 
-    // The terms of the specification at the hits on one sphere. N is the shading normal. lists: where not null, what
-    // can hide each light, in place of the scene's lists.
-    static WHITTED_LARGE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
+    // The terms of the specification at the hits on one sphere. lists: where not null, what can hide each light, in
+    // place of the scene's lists. g and p - x stand for N and L, the lengths come last: so no decision on a light waits
+    // for the root and the division of one.
+    static WHITTED_LARGE Local shade(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction,
                                      Lanes lanes, const SphereList *lists, Real *const *shadow_planes, std::size_t at) {
         const SphereConstants<Real> &sphere = scene.spheres[x.sphere];
         Local local{broadcast(sphere.ambient), broadcast_zero(), broadcast_zero()};
         if (!sphere.lit && !shadow_planes) return local;
-        const Vec V = sphere.specular ? -direction * (P(one) / sqrt(dot(direction, direction))) : broadcast_zero();
-        const P NV = dot(N, V);
+        // V = -d / |d|, d the ray's direction.
+        const P inverse_length = sphere.specular ? P(one) / sqrt(dot(direction, direction)) : P(zero);
+        const P twice_Nd = P(Real(2)) * dot(x.gradient, direction) * x.to_normal;
         for (std::size_t light = 0; light < scene.light_count; ++light) {
             const Lamp<Real> &lamp = sphere.lamps[light];
             if (!lamp.adds && !shadow_planes) continue;
             const Vec to_light = broadcast(lamp.place) - x.offset;
-            const Vec own_d = to_light * broadcast(sphere.inverse_scale);
-            const P n_d = dot(x.n, own_d);
-            // What is decided before N.L is known, which takes long: n.d is N.L but for a positive factor, and the side
-            // that is seen.
-            const Lanes away = select(x.inside, n_d, -n_d) > P(lamp.least_facing);
-            Lanes asked = lanes & !away;
-            if (!shadow_planes && !any(asked)) continue;
+            const P g_d = dot(x.gradient, to_light);
+            const Lanes facing = lanes & (select(x.inside, -g_d, g_d) > P(zero));
+            if (!shadow_planes && !any(facing)) continue;
             const P distance_squared = dot(to_light, to_light);
             const Lanes apart = distance_squared > P(zero);  // a light at x itself is visible and adds nothing
-            const Vec L = to_light * (P(one) / sqrt(distance_squared));
-            const P NL = dot(N, L);
-            const Lanes facing = lanes & apart & (NL > P(zero));
-            if (shadow_planes) asked = lanes & apart;
-            const Lanes dark =
-                hidden(scene, x, light, lists ? lists[light] : lamp.blockers, to_light, own_d, n_d, asked);
+            const Lanes asked = shadow_planes ? lanes & apart : facing;
+            const Lanes dark = hidden(scene, x, light, lists ? lists[light] : lamp.blockers, to_light, g_d, asked);
             if (shadow_planes) merge(shadow_planes[light], at, lanes, select(dark, P(zero), P(one)));
-            const Lanes bright = facing & !dark;
+            const Lanes bright = facing & apart & !dark;
             if (!lamp.adds || !any(bright)) continue;
 
-            const P cosine = select(bright, NL, P(zero));
+            const P inverse_distance = P(one) / sqrt(distance_squared);
+            const P height = g_d * x.to_normal;  // N.L, but for the distance
+            const P cosine = select(bright, height * inverse_distance, P(zero));
             local.diffuse = local.diffuse + broadcast(lamp.diffuse) * cosine * broadcast(sphere.color);
             if (!sphere.specular) continue;
-            // R = 2 (N.L) N - L; rounding alone brings R.V above 1.
-            const P RV = minimum(P(Real(2)) * NL * NV - dot(L, V), P(one));
-            const Lanes shiny = bright & (RV > P(zero));
+            // R = 2 (N.L) N - L; R.V, but for the distance and |d|.
+            const P along = dot(to_light, direction) - height * twice_Nd;
+            const Lanes shiny = bright & (along > P(zero));
             if (!any(shiny)) continue;
+            // Rounding alone brings it above 1.
+            const P RV = minimum(along * inverse_length * inverse_distance, P(one));
             const P highlight = select(shiny, power(RV, sphere.exponent, sphere.integer), P(zero));
             local.specular = local.specular + broadcast(lamp.specular) * highlight;
         }
         return local;
-    }
-
-    static WHITTED_INLINE Vec shading_normal(const SphereConstants<Real> &sphere, Vec n, Lanes inside) {
-        const Vec gradient = n * broadcast(sphere.inverse_scale);
-        const Vec outward = gradient * (P(one) / sqrt(dot(gradient, gradient)));
-        return select3(inside, -outward, outward);
     }
 
     // The byte of v is 255 v, clamped, its fraction cut off; NaN becomes 0.
@@ -547,9 +549,10 @@ struct Kernel {
     };
 
     // Sends the rays of these lanes on from the mirror that x lies on, into `next`.
-    static WHITTED_LARGE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec N, Vec direction,
-                                      P weight, Lanes lanes, SphereList others, Chain &next) {
+    static WHITTED_LARGE void reflect(const SceneConstants<Real> &scene, const SurfacePoint &x, Vec direction, P weight,
+                                      Lanes lanes, SphereList others, Chain &next) {
         // d - 2 (d.N) N
+        const Vec N = x.gradient * x.to_normal;
         const Vec mirrored = direction - N * (P(Real(2)) * dot(direction, N));
         std::uint64_t met = 0;
         const Hit found = next_hit(scene, x, mirrored, lanes, others, met);
@@ -575,12 +578,11 @@ struct Kernel {
                 const Lanes lanes = chain.active & (chain.hit.sphere == P(Real(i)));
                 if (!any(lanes)) continue;
                 const SphereConstants<Real> &sphere = scene.spheres[i];
-                const SurfacePoint x{i, chain.hit.n, chain.hit.n * broadcast(sphere.scale), chain.hit.inside};
-                const Vec N = shading_normal(sphere, x.n, x.inside);
-                const Local local = shade(scene, x, N, chain.direction, lanes, nullptr, nullptr, at);
+                const SurfacePoint x = surface_point(scene, i, chain.hit.n, chain.hit.inside);
+                const Local local = shade(scene, x, chain.direction, lanes, nullptr, nullptr, at);
                 order = select3(lanes, (local.ambient + (local.diffuse + local.specular)) * chain.weight, order);
                 if (bounce < scene.max_reflections && sphere.reflection > zero)
-                    reflect(scene, x, N, chain.direction, chain.weight, lanes, scene.all, next);
+                    reflect(scene, x, chain.direction, chain.weight, lanes, scene.all, next);
             }
             reflected = reflected + order;
             if (orders) store3(orders + 3 * (bounce - 1), at, order);
@@ -618,20 +620,19 @@ struct Kernel {
             const Lanes lanes = hit.sphere == P(Real(i));
             if (!any(lanes)) continue;
             const SphereConstants<Real> &sphere = scene.spheres[i];
-            const SurfacePoint x{i, hit.n, hit.n * broadcast(sphere.scale), hit.inside};
-            const Vec N = shading_normal(sphere, x.n, x.inside);
+            const SurfacePoint x = surface_point(scene, i, hit.n, hit.inside);
             const SphereList *own_lists = lists ? lists + k * (scene.light_count + 1) : nullptr;
-            const Local local = shade(scene, x, N, direction, lanes, own_lists, planes.shadow, at);
+            const Local local = shade(scene, x, direction, lanes, own_lists, planes.shadow, at);
             beauty = select3(lanes, local.ambient + (local.diffuse + local.specular), beauty);
             if constexpr (!only_words) {
                 primary.ambient = select3(lanes, local.ambient, primary.ambient);
                 primary.diffuse = select3(lanes, local.diffuse, primary.diffuse);
                 primary.specular = select3(lanes, local.specular, primary.specular);
-                normal = select3(lanes, N, normal);
+                normal = select3(lanes, x.gradient * x.to_normal, normal);
                 id = select(lanes, P(Real(sphere.index)), id);
             }
             if (scene.max_reflections > 0 && sphere.reflection > zero)
-                reflect(scene, x, N, direction, P(one), lanes, own_lists ? own_lists[scene.light_count] : scene.all,
+                reflect(scene, x, direction, P(one), lanes, own_lists ? own_lists[scene.light_count] : scene.all,
                         chain);
         }
         Vec reflected = broadcast_zero();

@@ -104,7 +104,10 @@ WHITTED_LARGE Packet<Real, Width> power(Packet<Real, Width> x, Real n, int integ
         }
         return result;
     }
-    return exponential(P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest))));
+    if constexpr (Pair<Real, Width>)
+        return P(power(x.low, n, integer), power(x.high, n, integer));
+    else
+        return exponential(P(n) * natural_log(maximum(x, P(PowerConstants<Real>::smallest))));
 }
 
 }  // namespace

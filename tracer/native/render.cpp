@@ -260,8 +260,6 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
                     lamp.diffuse[k] = static_cast<Real>(sphere.kd * light.intensity[k]);
                     lamp.specular[k] = static_cast<Real>(sphere.ks * light.intensity[k]);
                 }
-                lamp.least_facing =
-                    cuts ? static_cast<Real>(facing_doubt(sphere, light)) : std::numeric_limits<Real>::infinity();
                 lamp.side = light_side(sphere, light);
                 lamp.adds = to.lit && light.intensity != Vec3{0, 0, 0};
                 lamps.push_back(lamp);
@@ -296,19 +294,6 @@ struct Renderer::PreparedFor final : Renderer::Prepared {
             columns.resize(static_cast<std::size_t>(view.columns) + widest_packet);
             places(columns.data(), 0, view.columns);
         }
-    }
-
-    // What is above minus this, is too near to 0 to say on which side of the surface the light is: the roundings of
-    // N.L, in the unit space of the sphere.
-    static double facing_doubt(const Sphere &sphere, const Light &light) {
-        double reach = 0;
-        double steepest = 0;
-        for (std::size_t k = 0; k < 3; ++k) {
-            const double scale = std::abs(sphere.scaling[k]);
-            reach += std::abs(light.position[k] - sphere.position[k]) + 2 * scale;
-            steepest = std::max(steepest, 1 / scale);
-        }
-        return 256 * unit_roundoff * reach * steepest;
     }
 
     void find_blockers(const Scene &from, const std::vector<std::size_t> &distinct, bool cuts) {

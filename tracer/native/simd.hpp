@@ -109,9 +109,38 @@ struct Mask {
     }
 };
 
+// Packets of two registers: each operation is done on both, and neither waits for the other. With 128 and 256 bits that
+// makes up for what they spill, and more; with 512 bits, where masks spill as well, it does not.
+inline constexpr int register_bytes =
+#if defined(__AVX512F__)
+    64;
+#elif defined(__AVX__)
+    32;
+#else
+    16;
+#endif
+template <class Real, int Width>
+concept Pair = sizeof(Real) * Width == 2 * register_bytes;
+
+template <class Real, int Width>
+    requires Pair<Real, Width>
+struct Mask<Real, Width> {
+    using Half = Mask<Real, Width / 2>;
+    Half low, high;
+
+    WHITTED_INLINE static Mask none() { return {Half::none(), Half::none()}; }
+    WHITTED_INLINE static Mask all() { return {Half::all(), Half::all()}; }
+
+    friend WHITTED_INLINE Mask operator&(Mask a, Mask b) { return {a.low & b.low, a.high & b.high}; }
+    friend WHITTED_INLINE Mask operator|(Mask a, Mask b) { return {a.low | b.low, a.high | b.high}; }
+    friend WHITTED_INLINE Mask operator!(Mask a) { return {!a.low, !a.high}; }
+};
+
 template <class Real, int Width>
 WHITTED_INLINE bool any(Mask<Real, Width> mask) {
-    if constexpr (Width == 1 || has_mask_register<Real, Width>) {
+    if constexpr (Pair<Real, Width>) {
+        return any(mask.low | mask.high);
+    } else if constexpr (Width == 1 || has_mask_register<Real, Width>) {
         return mask.m != 0;
 #if defined(__AVX__)
     } else if constexpr (sizeof(Real) * Width == 32) {
@@ -201,12 +230,45 @@ struct Packet {
     }
 };
 
+template <class Real, int Width>
+    requires Pair<Real, Width>
+struct Packet<Real, Width> {
+    using Half = Packet<Real, Width / 2>;
+    using Lanes = Mask<Real, Width>;
+    Half low, high;
+
+    Packet() = default;
+    WHITTED_INLINE Packet(Real x) : low(x), high(x) {}
+    WHITTED_INLINE Packet(Half first, Half second) : low(first), high(second) {}
+
+    WHITTED_INLINE static Packet load(const Real *from) { return {Half::load(from), Half::load(from + Width / 2)}; }
+    WHITTED_INLINE void store(Real *to) const {
+        low.store(to);
+        high.store(to + Width / 2);
+    }
+
+    friend WHITTED_INLINE Packet operator+(Packet a, Packet b) { return {a.low + b.low, a.high + b.high}; }
+    friend WHITTED_INLINE Packet operator-(Packet a, Packet b) { return {a.low - b.low, a.high - b.high}; }
+    friend WHITTED_INLINE Packet operator*(Packet a, Packet b) { return {a.low * b.low, a.high * b.high}; }
+    friend WHITTED_INLINE Packet operator/(Packet a, Packet b) { return {a.low / b.low, a.high / b.high}; }
+    WHITTED_INLINE Packet operator-() const { return {-low, -high}; }
+
+    friend WHITTED_INLINE Lanes operator<(Packet a, Packet b) { return {a.low < b.low, a.high < b.high}; }
+    friend WHITTED_INLINE Lanes operator>(Packet a, Packet b) { return b < a; }
+    friend WHITTED_INLINE Lanes operator<=(Packet a, Packet b) { return {a.low <= b.low, a.high <= b.high}; }
+    friend WHITTED_INLINE Lanes operator>=(Packet a, Packet b) { return b <= a; }
+    friend WHITTED_INLINE Lanes operator==(Packet a, Packet b) { return {a.low == b.low, a.high == b.high}; }
+};
+
 // Lane by lane: yes ? a : b.
 template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> select(Mask<Real, Width> yes, Packet<Real, Width> a, Packet<Real, Width> b) {
     using P = Packet<Real, Width>;
+    if constexpr (Pair<Real, Width>) {
+        return P(select(yes.low, a.low, b.low), select(yes.high, a.high, b.high));
+    } else
 #if defined(__AVX512F__)
-    if constexpr (has_mask_register<Real, Width>) {
+        if constexpr (has_mask_register<Real, Width>) {
         if constexpr (sizeof(Real) == 8) {
             return P(_mm512_mask_blend_pd(yes.m, b.v, a.v), 0);
         } else {
@@ -225,7 +287,9 @@ WHITTED_INLINE Mask<Real, Width> select(Mask<Real, Width> yes, Mask<Real, Width>
 template <class Real, int Width>
 WHITTED_INLINE Packet<Real, Width> sqrt(Packet<Real, Width> x) {
     using P = Packet<Real, Width>;
-    if constexpr (Width == 1) {
+    if constexpr (Pair<Real, Width>) {
+        return P(sqrt(x.low), sqrt(x.high));
+    } else if constexpr (Width == 1) {
         if constexpr (sizeof(Real) == 8) {
             return P(__builtin_sqrt(x.v));
         } else {
@@ -305,7 +369,10 @@ WHITTED_INLINE Packet<Real, Width> absolute(Packet<Real, Width> a) {
 // Red, green and blue of 8 bits in one word, from whole numbers 0 .. 255 with any fraction, which is cut off.
 template <class Real, int Width>
 WHITTED_INLINE void store_words(std::int32_t *to, Packet<Real, Width> r, Packet<Real, Width> g, Packet<Real, Width> b) {
-    if constexpr (Width == 1) {
+    if constexpr (Pair<Real, Width>) {
+        store_words(to, r.low, g.low, b.low);
+        store_words(to + Width / 2, r.high, g.high, b.high);
+    } else if constexpr (Width == 1) {
         *to =
             static_cast<std::int32_t>(r.v) | static_cast<std::int32_t>(g.v) << 8 | static_cast<std::int32_t>(b.v) << 16;
     } else {

@@ -292,7 +292,7 @@ class Chains:
             sharp = glossy & (at(tables.exponent, sphere) < 1)
             if bounce:
                 asked["faces", i] = Asked("terminator", np.where(glossy, NL, np.nan), np.full(NL.size, 3 / 16))
-                asked["shines", i] = Asked("terminator", np.where(sharp, RV, np.nan), np.full(NL.size, 40 / 16))
+                asked["shines", i] = Asked("terminator", np.where(sharp, RV, np.nan), np.full(NL.size, 46 / 16))
             intensity = tables.intensity[:, i : i + 1]
             power = np.power(np.where(shines, RV, 1.0), at(tables.exponent, sphere))
             diffuse = np.where(visible, at(tables.kd, sphere) * intensity * NL * at(tables.color, sphere), 0)
