@@ -14,7 +14,8 @@
 namespace whitted {
 namespace {
 
-template <class Real, int Width>
+// Register: its bytes, so that no two instruction sets have functions of one name.
+template <class Real, int Width, int Register = register_bytes>
 struct Kernel {
     using P = Packet<Real, Width>;
     using Lanes = Mask<Real, Width>;
