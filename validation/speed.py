@@ -535,7 +535,8 @@ class _SceneRun:
             if one.samples:
                 warm, busy = Spread.of(one.samples), Spread.of(one.busy)
                 found.measured.append(Measured(one.entry, size, one.cold, warm, busy, one.memory, off))
-        best = front([(m.per_pixel, m.errors.random_rmse) for m in found.measured])
+        points = [(m.per_pixel, m.errors.random_rmse) for m in found.measured]
+        best = front(points, [m.errors.random_spread for m in found.measured])
         marked = [replace(m, front=on) for m, on in zip(found.measured, best, strict=True)]
         found.measured = sorted(marked, key=lambda m: m.per_pixel)
 
@@ -639,7 +640,14 @@ def panels(result: Speed) -> list[Panel]:
         Panel(
             f"{scene.label}, {scene.size[0]}x{scene.size[1]}: {scene.spheres} spheres, {scene.lights} lights",
             [
-                Point(m.entry.name, m.entry.family, m.entry.threads, m.per_pixel, m.errors.random_rmse)
+                Point(
+                    m.entry.name,
+                    m.entry.family,
+                    m.entry.threads,
+                    m.per_pixel,
+                    m.errors.random_rmse,
+                    m.errors.random_spread,
+                )
                 for m in scene.measured
             ],
         )

@@ -17,7 +17,8 @@ class Errors:
     """What the proved pixels say about a picture.
 
     `random_*`: of pixels chosen at random; `edge_*`: of those with the smallest margins. `max` and `rmse` are of the
-    channels of `beauty`, over all channels of all these pixels. `wrong`: of all proved pixels those whose primary hit
+    channels of `beauty`, over all channels of all these pixels. `random_spread`: the standard error of `random_rmse`,
+    by how much other random pixels would change it. `wrong`: of all proved pixels those whose primary hit
     is another sphere, or a light is seen that is hidden there or the other way round; None: the picture does not tell.
     `levels_off`: random pixels with a channel whose byte is another, by at most `levels_max`.
     """
@@ -25,6 +26,7 @@ class Errors:
     random: int
     random_max: float
     random_rmse: float
+    random_spread: float
     edge: int
     edge_max: float
     edge_rmse: float
@@ -56,6 +58,7 @@ def measure(drawn: Mapping[str, NDArray[np.generic]], proof: Proof, *, steps: in
     return Errors(
         int(random.sum()),
         *_sizes(error[random]),
+        _spread(error[random]),
         int(edge.sum()),
         *_sizes(error[edge]),
         _wrong(drawn, proof),
@@ -68,6 +71,14 @@ def _sizes(error: NDArray[np.float64]) -> tuple[float, float]:
     if not error.size:
         return 0.0, 0.0
     return float(error.max()), float(np.sqrt(np.mean(np.square(error))))
+
+
+def _spread(error: NDArray[np.float64]) -> float:
+    """Of the root of a mean m, to first order: its standard error over 2 sqrt(m)."""
+    squares = np.square(error).mean(axis=1)
+    if len(squares) < 2 or not 0 < squares.mean() < np.inf:
+        return 0.0
+    return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2 * np.sqrt(squares.mean())))
 
 
 def _wrong(drawn: Mapping[str, NDArray[np.generic]], proof: Proof) -> int | None:

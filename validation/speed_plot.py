@@ -17,13 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Point:
-    """One renderer: nanoseconds a pixel, error, and how it is shown."""
+    """One renderer: nanoseconds a pixel, error, its standard error, and how it is shown."""
 
     name: str
     family: str
     threads: int
     time: float
     error: float
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,24 @@ LEAST = 1e-18
 ANGLE, LETTER, LINE, LONGEST = 35, 5.2, 10, 40
 
 
-def front(points: Sequence[tuple[float, float]]) -> list[bool]:
-    """Which of them are on the front: no other is as good in both numbers and better in one. Not finite: never."""
+def front(points: Sequence[tuple[float, float]], spreads: Sequence[float] = ()) -> list[bool]:
+    """Which of them are on the front: no other is as good in both numbers and better in one. Not finite: never.
+
+    `spreads`: standard errors of the second numbers; two of these are told apart by twice that of their difference.
+    """
     found = []
-    for time, error in points:
-        beaten = any(t <= time and e <= error and (t < time or e < error) for t, e in points)
+    own = [*spreads] or [0.0] * len(points)
+    for (time, error), spread in zip(points, own, strict=True):
+        beaten = any(
+            t <= time and e <= error + 2 * math.hypot(s, spread) and (t < time or e < error)
+            for (t, e), s in zip(points, own, strict=True)
+        )
         found.append(math.isfinite(time) and math.isfinite(error) and not beaten)
     return found
+
+
+def _front(points: Sequence[Point]) -> list[bool]:
+    return front([(point.time, point.error) for point in points], [point.spread for point in points])
 
 
 def write_plot(path: Path, panels: Sequence[Panel], caption: str = "") -> None:
@@ -85,7 +97,7 @@ def write_plot(path: Path, panels: Sequence[Panel], caption: str = "") -> None:
                 figure.text(0.01, 0.005, caption, fontsize=7, color="#444444")
             figure.tight_layout(rect=(0, 0.025, 1, 1))
             for axis, panel in zip(axes[:, 0], panels, strict=True):
-                _name(axis, panel.points, front([(point.time, point.error) for point in panel.points]))
+                _name(axis, panel.points, _front(panel.points))
             with write_beside(path) as temporary:
                 figure.savefig(temporary, format="svg", metadata={"Date": None}, facecolor="white")
         finally:
@@ -94,7 +106,7 @@ def write_plot(path: Path, panels: Sequence[Panel], caption: str = "") -> None:
 
 def _draw(axis: Axes, panel: Panel) -> None:
     places = [(point.time, max(point.error, LEAST)) for point in panel.points]
-    best = front([(point.time, point.error) for point in panel.points])
+    best = _front(panel.points)
     most = max((point.threads for point in panel.points), default=1)
     for point, place, on in zip(panel.points, places, best, strict=True):
         marker, color = LOOKS.get(point.family, OTHERS)

@@ -58,6 +58,12 @@ def test_equals_share_the_front() -> None:
     assert front([]) == []
 
 
+def test_errors_that_chance_may_have_made_are_no_better() -> None:
+    points = [(1.0, 1.1), (2.0, 1.0), (3.0, 0.5)]
+    assert front(points, [0.01, 0.01, 0.01]) == [True, True, True]
+    assert front(points, [0.04, 0.04, 0.04]) == [True, False, True]
+
+
 def test_what_is_no_number_is_never_on_the_front() -> None:
     assert front([(1, math.inf), (math.inf, 0), (2, math.nan), (3, 4)]) == [False, False, False, True]
 

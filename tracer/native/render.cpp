@@ -38,7 +38,7 @@ constexpr std::int64_t pattern_columns = 4096;
 // Up to here the places of all columns are kept; up to here what concerns two spheres and a light, too.
 constexpr std::int64_t most_columns_kept = 1 << 17;
 constexpr std::size_t most_spheres_kept = 256;
-constexpr std::size_t most_blockers_sought = 1 << 14;
+constexpr std::size_t most_blockers_sought = 1 << 16;
 
 struct InstructionSet {
     const Kernels *kernels;
