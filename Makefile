@@ -11,7 +11,7 @@ CPUS := $(shell nproc 2>/dev/null || echo 2)
 
 help:
 	@echo "make demo        validate the bundled scenes against Mitsuba and write report/index.html"
-	@echo "make regression  every pass of the bundled scenes against every reference, to build/results.json"
+	@echo "make regression  every pass of the bundled scenes against every reference, to build/results-*.json"
 	@echo "make certify     prove pixels of the bundled scenes and hold our renderers against them"
 	@echo "make test        run the whole test suite"
 	@echo "make lint        ruff, mypy, import-linter, clang-format, and C++ without a warning"
@@ -57,9 +57,13 @@ demo: install
 
 # The whole regression suite: every pass of every bundled scene, against every reference, at full size.
 regression: install
-	$(BIN)/whitted validate scenes/gallery scenes/spec --json build/results.json \
-		--against mitsuba-stock,mitsuba-spec,mitsuba-path,povray; status=$$?; \
-	$(BIN)/whitted renderers --missing; exit $$status
+	@$(call VALIDATE,gallery) & other=$$!; $(call VALIDATE,spec); spec=$$?; \
+	wait $$other; gallery=$$?; cat build/regression-gallery.txt build/regression-spec.txt; \
+	$(BIN)/whitted renderers --missing; exit $$((gallery > spec ? gallery : spec))
+
+# Of one folder; both at once, as most of it uses one processor.
+VALIDATE = mkdir -p build; $(BIN)/whitted validate scenes/$(1) --json build/results-$(1).json \
+	--against mitsuba-stock,mitsuba-spec,mitsuba-path,povray >build/regression-$(1).txt 2>&1
 
 certify: install
 	$(BIN)/whitted truth scenes/gallery scenes/spec --renderer native-f64,native-f32,numpy-f64,numpy-f32 \

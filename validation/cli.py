@@ -1248,7 +1248,7 @@ def speed(
 
     \b
     whitted speed -o speed.svg
-    whitted speed scenes/gallery/mirrors.txt --renderer native-f64,mitsuba-mesh --json speed.json
+    whitted speed scenes/gallery/mirrors.txt --renderer native-f64,mitsuba-mesh-4@llvm --json speed.json
     whitted speed --renderer native-f32 --kernels
 
     Exit status: 0 done, 2 the input or the command is wrong, 3 a renderer failed.

@@ -51,6 +51,8 @@ ROUNDS, SECONDS, LIMIT = 15, 1.0, 160.0
 BURST, MOST_IN_BURST = 0.02, 20
 #: Fewer pictures than that have no quartiles.
 LEAST_RUNS = 3
+#: Seconds that a process has to end what it has started.
+MOMENT = 2.0
 #: Seconds that a first picture may take.
 PATIENCE = 90.0
 #: Renderers whose compiler keeps what it made in a folder of the user.
@@ -346,6 +348,7 @@ class Process:
             start_new_session=True,
         )
         self._unread = b""
+        self._asked = False
 
     @property
     def age(self) -> float:
@@ -365,7 +368,9 @@ class Process:
             self._process.stdin.flush()
         except OSError as error:
             raise WorkerError(self._end()) from error
+        self._asked = True
         line = self._line(patience)
+        self._asked = False
         answer: Record = json.loads(line)
         if "error" in answer:
             raise WorkerError(answer["error"])
@@ -393,7 +398,11 @@ class Process:
         return f"its process {how}" + (f": {told[-1]}" if told else "")
 
     def close(self) -> None:
-        """End it, and all that it has started."""
+        """End it, and all that it has started; one that is at work gets a moment to end a program."""
+        if self._asked and self._process.poll() is None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(MOMENT)
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -629,9 +638,10 @@ class _SceneRun:
                 except WorkerError as error:
                     self.fail(one.entry, str(error))
                     running.remove(one)
-        if few := sum(0 < len(one.samples) < LEAST_RUNS for one in running):
-            reason = f"{few} have fewer than {LEAST_RUNS} warm pictures: the time was up: --limit gives more"
-            self.result.left_out.append(Note(self.label, "", reason))
+        for one in running:
+            if 0 < len(one.samples) < LEAST_RUNS:
+                reason = f"fewer than {LEAST_RUNS} warm pictures, so no quartiles: --rounds or --limit gives more"
+                self.leave_out(one.entry, reason)
 
 
 def panels(result: Speed) -> list[Panel]:

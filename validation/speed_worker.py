@@ -6,14 +6,16 @@ imported before it is needed, as the first picture is timed with all that it tak
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
+import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -230,7 +232,13 @@ def main() -> None:
     # What renderers print must not get between the answers.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
-    worker = Worker()
+    # A program is in a group of its own: who is ended while one runs ends it.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        _answer(Worker(), answers)
+
+
+def _answer(worker: Worker, answers: TextIO) -> None:
     for line in sys.stdin:
         request = json.loads(line)
         handler: Callable[[Mapping[str, Any]], Answer] = getattr(worker, request["do"])

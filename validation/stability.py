@@ -58,6 +58,8 @@ Named: TypeAlias = str | Renderer
 SECONDS = 120.0
 #: A process that has grown so large is replaced: Mitsuba keeps what it compiles.
 LARGEST_BYTES = 3 << 30
+#: Seconds that a process has to end what it has started.
+MOMENT = 2.0
 #: So many breaks are told in words.
 TOLD = 12
 
@@ -377,7 +379,14 @@ def _work(connection: Connection, tested: tuple[Named, ...], settings: Settings)
     """A process: for each task that comes, say what came of it."""
     # A group of its own: Ctrl-C is for the parent, and what it ends it ends with the programs started here.
     os.setsid()
+    # Programs are in groups of their own: who is ended while one runs ends it, and takes its folder away.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    with contextlib.suppress(KeyboardInterrupt):
+        _answer(connection, tested, settings)
+
+
+def _answer(connection: Connection, tested: tuple[Named, ...], settings: Settings) -> None:
     # Mitsuba makes its own integrators anew whenever another of its variants draws.
     warnings.filterwarnings("ignore", message="The AST-transforming decorator")
     while (task := connection.recv()) is not None:
@@ -411,8 +420,11 @@ class _Worker:
             self.connection.send(task)
 
     def end(self) -> None:
-        """At once, with everything that it has started."""
+        """At once, with everything that it has started; one that draws gets a moment to end a program."""
         assert self.process.pid is not None
+        if self.task is not None and self.process.is_alive():
+            self.process.terminate()
+            self.process.join(MOMENT)
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()
@@ -565,7 +577,7 @@ class Stability(Outcome):
         """Everything as strictly valid JSON."""
         strict: Record = json_value(
             {
-                "ok": self.status == 0,
+                "ok": self.status == 0 and not self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
@@ -749,9 +761,15 @@ def print_stability(result: Stability) -> None:
         click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
-    words = f"{holding} of {len(result.tested)} renderers hold on all of {len(result.ladders)} ladders"
-    end = "interrupted: " if result.interrupted else ""
-    click.echo(f"{end}{len(result.rungs)} rungs in {result.seconds:.0f} s: {words}")
+    rungs = f"{len(result.rungs)} rungs in {result.seconds:.0f} s"
+    if result.interrupted:
+        count = sum(len(ladder.rungs) for ladder in result.ladders)
+        click.echo(
+            f"interrupted: {rungs}, of {count}: {holding} of {len(result.tested)} renderers hold as far as that goes"
+        )
+    else:
+        words = f"{holding} of {len(result.tested)} renderers hold on all of {len(result.ladders)} ladders"
+        click.echo(f"{rungs}: {words}")
 
 
 def _print_table(result: Stability, standard: str, title: str) -> None:
