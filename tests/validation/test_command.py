@@ -585,6 +585,31 @@ mine.render(tracer.load("scene.txt"), ("beauty",), Settings())
         assert ends(program)
         assert ends(child)
 
+    @pytest.mark.parametrize(
+        "words", ["stability --ladder speck --jobs 1", "speed scene.txt --size 8x8 --pixels 4 --edges 1"]
+    )
+    def test_what_measures_in_other_processes_is_ended(self, words: str, scene: Scene, tmp_path: Path) -> None:
+        temporary, pids = tmp_path / "temporary", tmp_path / "pids"
+        temporary.mkdir()
+        (tmp_path / "scene.txt").write_text(scene.text())
+        (tmp_path / "slow.py").write_text(
+            f"import os, time\nopen({str(pids)!r}, 'w').write(f'{{os.getpid()}}\\n')\ntime.sleep(600)\n"
+        )
+        mine = f"cmd:{sys.executable} -I -S slow.py {{scene}}"
+        code = "from validation.cli import main; main()"
+        ours = subprocess.Popen(
+            [sys.executable, "-c", code, *words.split(), "--renderer", mine],
+            cwd=tmp_path,
+            env={**os.environ, "TMPDIR": str(temporary)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        program = int(wait_for(pids))
+        ours.send_signal(signal.SIGTERM)
+        assert ours.wait(timeout=30) == 143
+        assert ends(program)
+        assert not list(temporary.iterdir())
+
     def test_two_at_the_same_time(
         self, command: Callable[..., Command], scene: Scene, tmp_path: Path, temporary: Path
     ) -> None:
