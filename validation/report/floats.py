@@ -1,0 +1,180 @@
+"""Float arrays as text in a page: predicted, byte-shuffled, deflated, in base64; `viewer/codec.js` undoes it.
+
+An array is stored as float32, the *base*, exact where it came as such. What a float64 has beyond its nearest float32 is
+the *rest*: how many float64 lie between the two. Of the first renderer of a scene the rest is noise that no
+compression helps, so it may be left out to keep a page small. Of any other it is stored less the first one's, which is
+next to nothing, so that differences between two float64 renderers stay what they are.
+
+A base is the difference from a prediction, of the bits as integers in the order of the numbers:
+    planar  left + above - above left, of the same channel
+    first   the base of the first renderer
+    sum     the float32 nearest to the float64 sum of other passes of the same renderer
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tracer.passes import Passes
+
+Ints: TypeAlias = NDArray[np.int32]
+Floats: TypeAlias = NDArray[np.float64]
+
+#: Level 9 takes several times as long for a hundredth less.
+COMPRESS = 6
+
+#: In a rest: the value is the sum of its parts; another number beyond this one stands among the exceptions.
+IS_SUM = -(2**31)
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One pass of one renderer: `base` and `rest` are text for the page, `rest` empty where it is all 0."""
+
+    channels: int
+    prediction: str
+    base: str
+    rest: str = ""
+    parts: tuple[str, ...] = ()
+    #: Whether the array was float64 with values that are no float32.
+    wide: bool = False
+    #: Whether `rest` is less that of the first renderer.
+    based: bool = False
+
+
+@dataclass
+class Source:
+    """What later renderers of a scene are predicted from: the arrays of the first."""
+
+    bases: dict[str, Ints] = field(default_factory=dict)
+    rests: dict[str, Ints] = field(default_factory=dict)
+
+
+def parts_of(name: str, have: Sequence[str]) -> tuple[str, ...]:
+    """The passes whose sum a pass is, where there are all of them."""
+    bounces = tuple(sorted((n for n in have if n.startswith("reflection.")), key=lambda n: int(n[11:])))
+    sums = {"beauty": ("ambient", "direct", "reflection"), "direct": ("diffuse", "specular"), "reflection": bounces}
+    parts = sums.get(name, ())
+    return parts if parts and all(part in have for part in parts) else ()
+
+
+def store(passes: Passes, source: Source | None) -> tuple[dict[str, Stored], Source]:
+    """Every pass of one renderer; `source`: that of the first renderer of the scene, None for the first itself."""
+    planes = {name: _planes(array) for name, array in passes.items()}
+    with np.errstate(over="ignore", invalid="ignore"):
+        bases = {name: plane.astype(np.float32) for name, plane in planes.items()}
+    found: dict[str, Stored] = {}
+    own = Source()
+    for name, plane in planes.items():
+        parts = parts_of(name, [*planes])
+        order = ordered(bases[name])
+        own.bases[name] = order
+        candidates: dict[str, Ints] = {}
+        if source and name in source.bases and source.bases[name].shape == order.shape:
+            candidates["first"] = source.bases[name]
+        if parts:
+            candidates["sum"] = ordered(_sum([bases[part].astype(np.float64) for part in parts]).astype(np.float32))
+        if "first" not in candidates and "sum" not in candidates:
+            candidates["planar"] = _planar(order)
+        with np.errstate(over="ignore"):
+            residuals = {how: order - prediction for how, prediction in candidates.items()}
+        how = min(residuals, key=lambda how: float(np.log2(1 + np.abs(residuals[how].astype(np.float64))).sum()))
+        rest, exceptions, wide = _rest(plane, bases[name])
+        own.rests[name] = rest
+        text, based = "", False
+        if wide:
+            first = source.rests.get(name) if source else None
+            if first is not None and first.shape == rest.shape:
+                with np.errstate(over="ignore"):
+                    rest, based = rest - first, True
+            elif parts:
+                is_sum = _bits(plane) == _bits(_sum([planes[part] for part in parts]))
+                rest = np.where(is_sum, np.int32(IS_SUM), rest)
+            text = pack(rest, exceptions)
+        used = parts if how == "sum" or (wide and not based) else ()
+        found[name] = Stored(plane.shape[0], how, pack(residuals[how]), text, used, wide, based)
+    return found, own
+
+
+def store_margins(margins: Mapping[str, NDArray[Any]]) -> str:
+    """Margins, one channel a kind, to the three digits that they are good for."""
+    planes = np.stack([np.asarray(plane, np.float64) for plane in margins.values()])
+    with np.errstate(over="ignore"):
+        bits = planes.astype(np.float32).view(np.uint32)
+    rounded = ((bits.astype(np.uint64) + 0x8000) & 0xFFFF0000).astype(np.uint32).view(np.float32)
+    order = ordered(rounded)
+    with np.errstate(over="ignore"):
+        return pack(order - _planar(order))
+
+
+def store_bytes(flags: NDArray[np.uint8]) -> str:
+    """Bytes, as they are."""
+    return _text(flags.tobytes())
+
+
+def ordered(values: NDArray[np.float32]) -> Ints:
+    """The bits as integers that go the way of the numbers; every pattern, those of NaN too, has one of its own."""
+    bits = np.ascontiguousarray(values).view(np.int32)
+    return np.where(bits < 0, bits ^ np.int32(0x7FFFFFFF), bits).astype(np.int32)
+
+
+def pack(values: Ints, exceptions: tuple[NDArray[np.int64], Floats] | None = None) -> str:
+    """Integers, small ones of either sign first, the first bytes of all before the second; then what is none of them."""
+    zigzag = np.ascontiguousarray((values << 1) ^ (values >> 31)).view(np.uint32).astype("<u4")
+    data = zigzag.reshape(-1).view(np.uint8).reshape(-1, 4).T.tobytes()
+    if exceptions:
+        places, floats = exceptions
+        data += places.astype("<u4").tobytes() + floats.astype("<f8").tobytes()
+    return _text(data)
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, COMPRESS)).decode("ascii")
+
+
+def _planes(array: NDArray[Any]) -> Floats:
+    """(channels, rows, columns)."""
+    values = np.asarray(array, np.float64)
+    return np.ascontiguousarray(np.moveaxis(values, 2, 0) if values.ndim == 3 else values[None])
+
+
+def _sum(parts: Sequence[Floats]) -> Floats:
+    total = parts[0]
+    with np.errstate(invalid="ignore", over="ignore"):
+        for part in parts[1:]:
+            total = total + part
+    return total
+
+
+def _planar(order: Ints) -> Ints:
+    """The plane through three neighbours; along the first row and column the neighbour."""
+    prediction = np.zeros_like(order)
+    with np.errstate(over="ignore"):
+        prediction[:, :, 1:] = order[:, :, :-1]
+        prediction[:, 1:, 0] = order[:, :-1, 0]
+        prediction[:, 1:, 1:] = order[:, 1:, :-1] + order[:, :-1, 1:] - order[:, :-1, :-1]
+    return prediction
+
+
+def _bits(values: Floats) -> NDArray[np.int64]:
+    return np.ascontiguousarray(values).view(np.int64)
+
+
+def _rest(exact: Floats, base: NDArray[np.float32]) -> tuple[Ints, tuple[NDArray[np.int64], Floats], bool]:
+    """How many float64 farther from 0 a value is than its float32; what that cannot say, and whether there is any."""
+    near = base.astype(np.float64)
+    far = _bits(exact) - _bits(near)  # of the same sign the magnitudes
+    other = ((_bits(exact) < 0) != (_bits(near) < 0)) | (np.abs(far) >= 2**30) | np.isnan(exact)
+    same = np.isnan(exact) | (_bits(exact) == _bits(near))
+    rest = np.where(other | same, 0, far).astype(np.int32)
+    places = np.flatnonzero(other & ~same)
+    return rest, (places, exact.reshape(-1)[places]), not bool(same.all())
