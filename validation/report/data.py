@@ -1,4 +1,4 @@
-"""What the viewer in the page knows: scenes, renderers, comparisons and verdicts as JSON, float arrays as blocks of text."""
+"""What the viewer in the page knows: scenes, comparisons and verdicts as JSON, float arrays as blocks of text."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from validation.report.verdicts import CAUSES
 from validation.run import explain_options
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from tracer.passes import Passes
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
     from validation.run import Rendered
 
 #: As many characters the float data of a page take at most: 60 MB less what pictures and words need.
-MOST = 52_000_000
+MOST = 54_000_000
 
 #: The bits of a pixel in the map of a comparison; those of the kinds of margin follow.
 COMPARED, OVER, EDGE = 1, 2, 4
@@ -61,17 +59,18 @@ class SceneData:
     pairs: list[Json] = field(default_factory=list)
     truths: Json = field(default_factory=dict)
 
-    @property
-    def bases(self) -> int:
-        """Characters that the viewer cannot do without."""
-        rests = (stored.rest for drawn in self.drawn[1:] for stored in drawn.stored.values())
-        bases = (stored.base for drawn in self.drawn for stored in drawn.stored.values())
-        return sum(map(len, [*bases, *rests])) + len(self.margins)
-
-    @property
-    def rests(self) -> int:
-        """Characters of what only the last digits of float64 values need."""
-        return sum(len(stored.rest) for stored in self.drawn[0].stored.values()) if self.drawn else 0
+    def stored(self, tier: int) -> dict[str, str]:
+        """Blocks of text by id. 0: what every picture needs; 1: how float64 renderers differ; 2: their last digits."""
+        found: dict[str, str] = {}
+        if tier == 0 and self.margins:
+            found[f"m{self.key}"] = self.margins
+        for place, drawn in enumerate(self.drawn):
+            for name, stored in drawn.stored.items():
+                if tier == 0:
+                    found[f"d{self.key}-{place}-{name}"] = stored.base
+                elif stored.rest and (tier == 1) == stored.based:
+                    found[f"x{self.key}-{place}-{name}"] = stored.rest
+        return found
 
     @property
     def ok(self) -> bool:
@@ -182,36 +181,33 @@ class Data:
     def page(self, about: Json) -> tuple[str, list[tuple[str, str]]]:
         """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last."""
         left = MOST - sum(map(len, self._flags))
-        entries, blocks = [], [(key, text) for text, key in self._flags.items()]
+        blocks = {key: text for text, key in self._flags.items()}
         ordered = sorted(self._scenes.values(), key=lambda scene: scene.ok)
-        fits = set()
-        for scene in ordered:
-            if scene.bases <= left:
-                left -= scene.bases
-                fits.add(scene.key)
-        for scene in ordered:
-            floats_in = scene.key in fits and not self.small
-            whole = floats_in and scene.rests <= left
-            left -= scene.rests if whole else 0
-            entries.append(self._entry(scene, floats_in=floats_in, whole=whole))
-            if floats_in:
-                blocks += _blocks(scene, whole=whole)
+        tiers = {scene.key: 0 for scene in ordered}  # how many of them are in the page
+        for tier in () if self.small else range(3):
+            for scene in ordered:
+                stored = scene.stored(tier)
+                need = sum(map(len, stored.values()))
+                if tiers[scene.key] == tier and need <= left:
+                    tiers[scene.key] += 1
+                    left -= need
+                    blocks |= stored
+        entries = [self._entry(scene, tiers[scene.key]) for scene in ordered]
         record = {
             **about,
             "small": self.small,
             "causes": CAUSES,
             "kinds": KINDS,
-            "table": [
-                {"name": row.name, "channels": row.channels, "quantity": row.quantity} for row in TABLE
-            ],
+            "table": [{"name": row.name, "channels": row.channels, "quantity": row.quantity} for row in TABLE],
             "scenes": entries,
         }
-        return json.dumps(json_value(record), ensure_ascii=False).replace("<", "\\u003c"), blocks
+        return json.dumps(json_value(record), ensure_ascii=False).replace("<", "\\u003c"), [*blocks.items()]
 
-    def _entry(self, scene: SceneData, *, floats_in: bool, whole: bool) -> Json:
+    def _entry(self, scene: SceneData, tiers: int) -> Json:
+        whole = tiers == 3
         return {
             **scene.entry,
-            "floats": floats_in,
+            "floats": tiers > 0,
             "whole": whole,
             "renderers": [
                 {
@@ -224,15 +220,15 @@ class Data:
                             "parts": list(stored.parts),
                             "wide": stored.wide,
                             "based": stored.based,
-                            "rest": bool(stored.rest) and (whole or place > 0),
+                            "rest": bool(stored.rest) and tiers > (1 if stored.based else 2),
                         }
                         for name, stored in drawn.stored.items()
                     }
-                    if floats_in
+                    if tiers
                     else {},
                     "exact": {} if whole else drawn.exact,
                 }
-                for place, drawn in enumerate(scene.drawn)
+                for drawn in scene.drawn
             ],
             "pairs": scene.pairs,
             "truths": scene.truths,
@@ -241,16 +237,6 @@ class Data:
 
 #: What a comparison has that the viewer knows from elsewhere.
 LEFT_OUT = ("scene", "size", "renderer", "reference", "pass")
-
-
-def _blocks(scene: SceneData, *, whole: bool) -> Iterator[tuple[str, str]]:
-    if scene.margins:
-        yield f"m{scene.key}", scene.margins
-    for place, drawn in enumerate(scene.drawn):
-        for name, stored in drawn.stored.items():
-            yield f"d{scene.key}-{place}-{name}", stored.base
-            if stored.rest and (whole or place > 0):
-                yield f"x{scene.key}-{place}-{name}", stored.rest
 
 
 def _verdict(row: Row) -> Json:
@@ -289,5 +275,3 @@ def modules() -> str:
         for path in sorted(VIEWER.glob("*.js"))
     }
     return json.dumps({"imports": found})
-
-

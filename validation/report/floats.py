@@ -106,11 +106,11 @@ def store(passes: Passes, source: Source | None) -> tuple[dict[str, Stored], Sou
 
 
 def store_margins(margins: Mapping[str, NDArray[Any]]) -> str:
-    """Margins, one channel a kind, to the three digits that they are good for."""
+    """Margins, one channel a kind, to two digits."""
     planes = np.stack([np.asarray(plane, np.float64) for plane in margins.values()])
     with np.errstate(over="ignore"):
         bits = planes.astype(np.float32).view(np.uint32)
-    rounded = ((bits.astype(np.uint64) + 0x8000) & 0xFFFF0000).astype(np.uint32).view(np.float32)
+    rounded = ((bits.astype(np.uint64) + 0x10000) & 0xFFFE0000).astype(np.uint32).view(np.float32)
     order = ordered(rounded)
     with np.errstate(over="ignore"):
         return pack(order - _planar(order))
@@ -128,7 +128,7 @@ def ordered(values: NDArray[np.float32]) -> Ints:
 
 
 def pack(values: Ints, exceptions: tuple[NDArray[np.int64], Floats] | None = None) -> str:
-    """Integers, small ones of either sign first, the first bytes of all before the second; then what is none of them."""
+    """Integers, small ones of either sign small, the lowest bytes of all first; then the places of others and these."""
     zigzag = np.ascontiguousarray((values << 1) ^ (values >> 31)).view(np.uint32).astype("<u4")
     data = zigzag.reshape(-1).view(np.uint8).reshape(-1, 4).T.tobytes()
     if exceptions:

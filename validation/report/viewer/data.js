@@ -5,7 +5,7 @@ import { addOther, addPlanar, addRest, inflate, restOf, sum, swapOrder, unpack }
 export const run = JSON.parse(/** @type {HTMLElement} */ (document.getElementById("record")).textContent ?? "");
 
 /** Scenes whose arrays are kept. */
-const KEPT = 3;
+const KEPT = 4;
 
 /**
  * A number of the JSON.

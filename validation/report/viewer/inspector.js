@@ -134,7 +134,7 @@ function passTable(seen, name) {
       const plane = seen.plane(place, name);
       if (plane === null) continue;
       const letter = place === state.a ? "A" : place === state.b ? "B" : "";
-      const head = `<th>${truth || first ? "" : channel}</th><th scope="row">${letter ? `<i>${letter}</i> ` : ""}${escaped(renderer.name)}</th>`;
+      const head = `<th>${truth || first ? "" : channel}</th><th scope="row" title="${escaped(renderer.name)}">${letter ? `<i>${letter}</i> ` : ""}${escaped(renderer.name)}</th>`;
       if (!plane) {
         body += `<tr>${head}<td class="soft">…</td><td></td><td></td><td></td></tr>`;
         continue;
@@ -184,7 +184,7 @@ function meaning(scene, row, value) {
 function sentence(finding, letter) {
   const label = finding.right ? "right" : run.causes[finding.cause] ?? finding.cause;
   const errors = Object.entries(finding.errors).map(([name, error]) => `${name} by ${brief(number(error))}`);
-  const off = errors.length ? ` Off in ${errors.slice(0, 3).join(", ")}${errors.length > 3 ? ` and ${errors.length - 3} more` : ""}.` : "";
+  const off = errors.length && !finding.says.startsWith("is off") ? ` Off in ${errors.slice(0, 3).join(", ")}${errors.length > 3 ? ` and ${errors.length - 3} more` : ""}.` : "";
   const says = finding.right ? "is within what it claims of the exact value." : `${finding.says}.${off}`;
   return `<p><span class="chip ${finding.explained ? "ok" : "bad"}"><span aria-hidden="true">${finding.explained ? "✓" : "✗"}</span> ${escaped(label)}</span> <b>${letter ? `${letter} ` : ""}${escaped(finding.renderer)}</b> ${escaped(says)}${finding.because && !finding.right ? `<br><span class="soft">${escaped(finding.because)}</span>` : ""}</p>`;
 }
@@ -199,7 +199,7 @@ function verdicts(seen) {
   if (own) {
     const letters = found?.turned ? ["B", "A"] : ["A", "B"];
     const said = own.findings.map((finding, side) => sentence(finding, letters[side])).join("");
-    text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own))} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
+    text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? "not among the pixels judged in this run: the command below judges it" : "no pixel was judged";
     text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>`;

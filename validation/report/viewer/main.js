@@ -2,7 +2,7 @@
 import { brightened, decades, differences, logarithmic, inferno, picture, range, signed } from "viewer/colors.js";
 import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run } from "viewer/data.js";
 import { brief, escaped, inspect } from "viewer/inspector.js";
-import { fillList, filtered, markScene, matrix, pictureAddress } from "viewer/list.js";
+import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
 import { outline, styles } from "viewer/outlines.js";
 import { Stage } from "viewer/stage.js";
@@ -99,19 +99,16 @@ function writeAddress() {
 /** @param {SceneEntry} scene */
 function choose(scene) {
   if (scene === state.scene) return;
-  const names = [state.a, state.b].map((place) => state.scene.renderers[place]?.name);
-  const found = worst(scene, state.onlyPass);
-  const other = result(scene, names, found);
-  change({ ...other, zoom: 0, exposure: 0, flipped: false });
+  change({ ...landing(scene), zoom: 0, exposure: 0, flipped: false });
 }
 
 /**
- * The same pass and renderers where nothing is wrong with the scene, else what is wrong.
+ * What to show of another scene: the same pass and renderers where nothing is wrong with it, else what is wrong.
  * @param {SceneEntry} scene
- * @param {string[]} names
- * @param {ReturnType<typeof worst>} found
  */
-function result(scene, names, found) {
+function landing(scene) {
+  const names = [state.a, state.b].map((place) => state.scene.renderers[place]?.name);
+  const found = worst(scene, state.onlyPass);
   const bad = scene.pairs.some((pair) => !pair.ok);
   const places = names.map((name) => scene.renderers.findIndex((renderer) => renderer.name === name));
   if (bad || places.includes(-1)) return found;
@@ -156,6 +153,7 @@ async function draw() {
     have.planes.clear();
     have.margins = null;
     have.scene = scene;
+    await placeholder(mine);
   }
   const now = comparison(state);
   const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.edges, state.flipped && mode === "flip"].join(" ");
@@ -186,7 +184,39 @@ async function draw() {
     drawn = `${scene.key} ${a} ${b}`;
     void fetchOthers(mine, scene);
   }
-  stageElement.dataset.ready = address(state);
+  const shown = address(state);
+  requestAnimationFrame(() => {
+    stageElement.dataset.ready = shown; // behind the drawing, which was asked for before
+  });
+}
+
+/**
+ * The picture of another scene at once, until its values are there.
+ * @param {number} mine
+ */
+async function placeholder(mine) {
+  const image = await pictureOf(thumbnail(state.scene));
+  if (mine !== turn || !image) return;
+  const title = "reading …";
+  const panes = (state.mode === "side" ? [0, 1] : [0]).map(() => ({ title, image }));
+  const { pixel, zoom, centre, split } = state;
+  stage.show({ size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
+}
+
+/**
+ * The values that the neighbours in the list would show, read before they are asked for.
+ * @param {SceneEntry} scene
+ */
+async function readAhead(scene) {
+  const scenes = filtered(state).map((entry) => entry.scene);
+  const at = scenes.indexOf(scene);
+  for (const next of [scenes[at + 1], scenes[at - 1]]) {
+    if (!next || state.scene !== scene) continue;
+    const { pass, a, b } = landing(next);
+    for (const [place, name] of /** @type {[number, string][]} */ ([[a, pass], [b, pass], [a, "id"], [b, "id"]])) {
+      await plane(next, place, name);
+    }
+  }
 }
 
 /**
@@ -251,7 +281,11 @@ async function fromFloats(mine) {
   const scale = decades(errors, bits ? (i) => (bits[i] & 4) !== 0 : () => false);
   const both = mode === "diff";
   const image = canvas(logarithmic(both ? signs : errors, scale, scene.size, both));
-  const rounded = [first, second].every((one) => one.exact) ? "" : "; float64 is rounded to float32 here, which shows where the other is float32";
+  const rest = [a, b].map((place) => scene.renderers[place].passes[pass]);
+  const lost = rest.every((one) => one?.wide) && !rest.some((one) => one?.rest);
+  const rounded = [first, second].every((one) => one.exact)
+    ? ""
+    : `; float64 is rounded to float32 to keep the page small${lost ? ": differences below 6e-8 of a value do not show" : ""}`;
   const what = both
     ? "A − B of the channel that differs most; orange and +: A is larger, blue and −: B is larger"
     : `largest difference of a channel${row.quantity === "normal" ? "s' vector" : ""}, brighter is larger`;
@@ -347,7 +381,7 @@ function colorBar(scale, both) {
   const [low, high] = scale;
   const steps = Array.from({ length: high - low + 1 }, (_, i) => low + i);
   const share = (/** @type {number} */ exponent) => (exponent - low) / (high - low);
-  if (!both) return barOf(steps.map((exponent) => [share(exponent), `1e${exponent}`]), inferno);
+  if (!both) return barOf(steps.map((exponent, i) => [share(exponent), `${i ? "" : "≤ "}1e${exponent}`]), inferno);
   const few = steps.filter((exponent) => (high - exponent) % 2 === 0);
   /** @type {[number, string][]} */
   const ticks = [
@@ -375,6 +409,7 @@ async function fetchOthers(mine, scene) {
   }
   if (state.scene === scene && mine) inspectSoon();
   inspector.dataset.complete = scene.key;
+  await readAhead(scene);
 }
 
 let inspecting = 0;

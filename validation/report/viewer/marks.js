@@ -56,8 +56,10 @@ export function drawMark(context, verdict, x, y, half) {
 /**
  * The same as an element of the page.
  * @param {Mark} mark
+ * @param {boolean} [crossed]
  */
-export function markSvg(mark) {
-  const path = `<path d="${SHAPES[mark]}" vector-effect="non-scaling-stroke"/>`;
+export function markSvg(mark, crossed = false) {
+  const cross = crossed ? "M-.5 -.5L.5 .5M-.5 .5L.5 -.5" : "";
+  const path = `<path d="${SHAPES[mark]}${cross}" vector-effect="non-scaling-stroke"/>`;
   return `<svg class="sign" viewBox="-1.5 -1.5 3 3" aria-hidden="true"><g class="m ${mark}">${path}${path}</g></svg>`;
 }
