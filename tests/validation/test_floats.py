@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 
 import doubles
@@ -14,7 +15,7 @@ from validation import Settings
 from validation.renderers.native import Native
 from validation.renderers.numpy import Reference
 from validation.report import floats
-from validation.report.floats import IS_SUM, Stored
+from validation.report.floats import IS_SUM, Guide, Stored
 
 
 def words(text: str, count: int) -> tuple[list[int], bytes]:
@@ -101,6 +102,10 @@ def undo_base(
         parts = [undo_base(stored, part, shape, first) for part in one.parts]
         sums = [to_order(float(np.float32(sum_of(list(values))))) for values in zip(*parts, strict=True)]
         return [from_order(wrapped(a + b)) for a, b in zip(residual, sums, strict=True)]
+    if one.prediction in ("ray", "surface"):
+        guides = [undo_base(stored, guide, shape, first) for guide in one.guides]
+        near = on_rays(guides[0], shape) if one.prediction == "ray" else on_spheres(guides[0], guides[1])
+        return [from_order(wrapped(a + to_order(b))) for a, b in zip(residual, near, strict=True)]
     order: list[int] = []
     for i, value in enumerate(residual):
         x, y = i % columns, i // columns % rows
@@ -109,6 +114,36 @@ def undo_base(
         corner = order[i - columns - 1] if x and y else 0
         order.append(wrapped(value + (left + above - corner if x and y else left if x else above)))
     return [from_order(value) for value in order]
+
+
+def on_rays(depth: list[float], shape: tuple[int, int]) -> list[float]:
+    """Points on the rays of `small_scene`, x of all pixels first."""
+    view = small_scene().view
+    across, down = (view.right - view.left) / view.columns, (view.bottom - view.top) / view.rows
+    found: list[list[float]] = [[], [], []]
+    for i, far in enumerate(depth):
+        d = (view.left + across * (i % shape[1]), view.top + down * (i // shape[1]), -view.near)
+        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        for axis in range(3):
+            found[axis].append(d[axis] * (far / length) if math.isfinite(far) else 0.0)
+    return [*found[0], *found[1], *found[2]]
+
+
+def on_spheres(points: list[float], ids: list[float]) -> list[float]:
+    """Normals of `small_scene` at points, towards the eye."""
+    spheres, count = small_scene().spheres, len(ids)
+    found = [0.0] * (3 * count)
+    for i, id in enumerate(ids):
+        if id < 0:
+            continue
+        sphere, p = spheres[int(id)], [points[axis * count + i] for axis in range(3)]
+        n = [(p[k] - sphere.position[k]) / (sphere.scaling[k] * sphere.scaling[k]) for k in range(3)]
+        length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        if n[0] * p[0] + n[1] * p[1] + n[2] * p[2] > 0:
+            length = -length
+        for k in range(3):
+            found[k * count + i] = n[k] / length
+    return found
 
 
 def flat(array: np.ndarray) -> np.ndarray:
@@ -127,18 +162,23 @@ def small_scene() -> doubles.tracer.Scene:
     return scene.replace(view=scene.view.replace(columns=24, rows=18))
 
 
-def test_every_pass_of_every_renderer_comes_out_exactly() -> None:
+@pytest.mark.parametrize("guided", [True, False])
+def test_every_pass_of_every_renderer_comes_out_exactly(guided: bool) -> None:
     scene = small_scene()
+    guide = Guide.of(scene, Settings()) if guided else None
     first, source = None, None
     for renderer in (Native("f64"), Native("f32"), Reference("f64"), Reference("f32")):
         passes = renderer.render(scene, renderer.passes(scene, Settings()), Settings())
-        stored, own = floats.store(passes, source)
+        stored, own = floats.store(passes, source, guide)
         for name, array in passes.items():
             assert same(undo(stored, name, passes.shape, first), array), (renderer.name, name)
         first, source = first or stored, source or own
     assert first
     assert first["beauty"].prediction == "sum"
     assert not first["beauty"].based
+    assert (first["position"].prediction, first["normal"].prediction) == (
+        ("ray", "surface") if guided else ("planar", "planar")
+    )
 
 
 def test_values_that_no_float32_is_near() -> None:
@@ -167,7 +207,7 @@ def test_without_the_first_rest_two_float64_still_differ_by_the_same() -> None:
     one, other = Passes({"depth": values}), Passes({"depth": values + 1e-12})
     stored, source = floats.store(one, None)
     second, _ = floats.store(other, source)
-    cut = {"depth": Stored(1, "planar", stored["depth"].base, "", (), wide=True)}
+    cut = {"depth": Stored(1, "planar", stored["depth"].base, wide=True)}
     a, b = (np.array(undo(of, "depth", one.shape, cut)) for of in (cut, second))
     assert np.allclose(b - a, 1e-12, rtol=1e-3, atol=0)
 

@@ -52,6 +52,7 @@ class SceneData:
 
     key: str
     entry: Json
+    guide: floats.Guide
     margins: str = ""
     drawn: list[Drawn] = field(default_factory=list)
     source: floats.Source | None = None
@@ -134,6 +135,7 @@ class Data:
     def _new(self, rendered: Rendered, size: tuple[int, int]) -> SceneData:
         analysis = rendered.analysis
         key = f"{len(self._scenes)}"
+        guide = floats.Guide.of(rendered.scene, rendered.settings)
         entry: Json = {
             "key": key,
             "label": rendered.label,
@@ -142,9 +144,11 @@ class Data:
             "spheres": [sphere.name for sphere in rendered.scene.spheres],
             "lights": [light.name for light in rendered.scene.lights],
             "options": explain_options(rendered.label, rendered.scene, rendered.settings),
+            "rays": guide.rays,
+            "surfaces": guide.spheres,
             "margins": list(analysis.margins) if analysis and not self.small else [],
         }
-        data = SceneData(key, entry)
+        data = SceneData(key, entry, guide)
         if analysis and not self.small:
             data.margins = floats.store_margins(analysis.margins)
         return data
@@ -157,7 +161,7 @@ class Data:
         precision = "f64" if any(array.dtype == np.float64 for array in passes.values()) else "f32"
         drawn = Drawn(name, precision)
         if not self.small:
-            drawn.stored, own = floats.store(passes, scene.source)
+            drawn.stored, own = floats.store(passes, scene.source, scene.guide)
             # Of a scene that comes again after others the first renderer's arrays are gone.
             scene.source = None if scene.closed else scene.source or own
         scene.drawn.append(drawn)
@@ -218,6 +222,7 @@ class Data:
                             "channels": stored.channels,
                             "prediction": stored.prediction,
                             "parts": list(stored.parts),
+                            "guides": list(stored.guides),
                             "wide": stored.wide,
                             "based": stored.based,
                             "rest": bool(stored.rest) and tiers > (1 if stored.based else 2),

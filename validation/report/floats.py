@@ -9,6 +9,8 @@ A base is the difference from a prediction, of the bits as integers in the order
     planar  left + above - above left, of the same channel
     first   the base of the first renderer
     sum     the float32 nearest to the float64 sum of other passes of the same renderer
+    ray     of `position`: the point of the pixel's ray at the renderer's `depth`
+    surface of `normal`: that of the renderer's sphere `id` at its `position`
 """
 
 from __future__ import annotations
@@ -21,10 +23,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.passes import OFFSETS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from tracer import Scene
     from tracer.passes import Passes
+    from validation.renderers import Settings
 
 Ints: TypeAlias = NDArray[np.int32]
 Floats: TypeAlias = NDArray[np.float64]
@@ -45,6 +51,8 @@ class Stored:
     base: str
     rest: str = ""
     parts: tuple[str, ...] = ()
+    #: Passes behind the predictions `ray` and `surface`.
+    guides: tuple[str, ...] = ()
     #: Whether the array was float64 with values that are no float32.
     wide: bool = False
     #: Whether `rest` is less that of the first renderer.
@@ -67,7 +75,55 @@ def parts_of(name: str, have: Sequence[str]) -> tuple[str, ...]:
     return parts if parts and all(part in have for part in parts) else ()
 
 
-def store(passes: Passes, source: Source | None) -> tuple[dict[str, Stored], Source]:
+@dataclass(frozen=True)
+class Guide:
+    """What geometry says of a scene; the viewer computes with the same numbers in the same order."""
+
+    #: First x, its step from column to column, first y, its step from row to row, z.
+    rays: tuple[float, float, float, float, float]
+    #: Centre and squared half axes.
+    spheres: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, scene: Scene, settings: Settings) -> Guide:
+        """That of a scene and where the rays go through the pixels."""
+        view, (ox, oy) = scene.view, OFFSETS[settings.sample]
+        less = 1 if settings.sample == "inclusive" else 0
+        across = (view.right - view.left) / max(view.columns - less, 1)
+        down = (view.bottom - view.top) / max(view.rows - less, 1)
+        rays = (view.left + across * ox, across, view.top + down * oy, down, -view.near)
+        return cls(rays, tuple((*s.position, *(axis * axis for axis in s.scaling)) for s in scene.spheres))
+
+    def points(self, depth: Floats) -> Floats:
+        """The point of every pixel's ray at that distance from the eye."""
+        x0, across, y0, down, z = self.rays
+        rows, columns = depth.shape
+        x = np.broadcast_to(x0 + across * np.arange(columns), depth.shape)
+        y = np.broadcast_to((y0 + down * np.arange(rows))[:, None], depth.shape)
+        with np.errstate(all="ignore"):
+            share = depth / np.sqrt(x * x + y * y + z * z)
+            return _finite(np.stack([x * share, y * share, z * share]))
+
+    def normals(self, points: Floats, ids: Floats) -> Floats:
+        """The normals of spheres at points, towards the eye."""
+        if not self.spheres:
+            return np.zeros_like(points)
+        with np.errstate(all="ignore"):
+            known = (ids >= 0) & (ids < len(self.spheres))
+            place = np.where(known, ids, 0).astype(np.int64)
+            of = np.moveaxis(np.array(self.spheres)[place], 2, 0)
+            x, y, z = ((points[axis] - of[axis]) / of[axis + 3] for axis in range(3))
+            length = np.sqrt(x * x + y * y + z * z)
+            away = x * points[0] + y * points[1] + z * points[2] > 0
+            length = np.where(away, -length, length)
+            return _finite(np.where(known, np.stack([x / length, y / length, z / length]), 0.0))
+
+
+def _finite(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def store(passes: Passes, source: Source | None, guide: Guide | None = None) -> tuple[dict[str, Stored], Source]:
     """Every pass of one renderer; `source`: that of the first renderer of the scene, None for the first itself."""
     planes = {name: _planes(array) for name, array in passes.items()}
     with np.errstate(over="ignore", invalid="ignore"):
@@ -82,7 +138,15 @@ def store(passes: Passes, source: Source | None) -> tuple[dict[str, Stored], Sou
         if source and name in source.bases and source.bases[name].shape == order.shape:
             candidates["first"] = source.bases[name]
         if parts:
-            candidates["sum"] = ordered(_sum([bases[part].astype(np.float64) for part in parts]).astype(np.float32))
+            candidates["sum"] = _as_order(_sum([bases[part].astype(np.float64) for part in parts]))
+        guides: tuple[str, ...] = ()
+        if guide and name == "position" and "depth" in bases:
+            guides = ("depth",)
+            candidates["ray"] = _as_order(guide.points(bases["depth"][0].astype(np.float64)))
+        if guide and name == "normal" and "position" in bases and "id" in bases:
+            guides = ("position", "id")
+            points, ids = bases["position"].astype(np.float64), bases["id"][0].astype(np.float64)
+            candidates["surface"] = _as_order(guide.normals(points, ids))
         if "first" not in candidates and "sum" not in candidates:
             candidates["planar"] = _planar(order)
         with np.errstate(over="ignore"):
@@ -101,7 +165,8 @@ def store(passes: Passes, source: Source | None) -> tuple[dict[str, Stored], Sou
                 rest = np.where(is_sum, np.int32(IS_SUM), rest)
             text = pack(rest, exceptions)
         used = parts if how == "sum" or (wide and not based) else ()
-        found[name] = Stored(plane.shape[0], how, pack(residuals[how]), text, used, wide, based)
+        guides = guides if how in ("ray", "surface") else ()
+        found[name] = Stored(plane.shape[0], how, pack(residuals[how]), text, used, guides, wide, based)
     return found, own
 
 
@@ -153,6 +218,11 @@ def _sum(parts: Sequence[Floats]) -> Floats:
         for part in parts[1:]:
             total = total + part
     return total
+
+
+def _as_order(values: Floats) -> Ints:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return ordered(values.astype(np.float32))
 
 
 def _planar(order: Ints) -> Ints:

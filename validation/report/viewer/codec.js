@@ -130,3 +130,62 @@ export function restOf(values, base) {
   }
   return rest;
 }
+
+/**
+ * The bits of the nearest float32, in the order of the numbers.
+ * @param {Float64Array} values
+ */
+export function orderOf(values) {
+  return swapOrder(new Int32Array(Float32Array.from(values).buffer));
+}
+
+/**
+ * The point of every pixel's ray at a distance from the eye.
+ * @param {number[]} rays first x and step, first y and step, z
+ * @param {Float32Array} depth
+ * @param {number} columns
+ * @param {number} rows
+ */
+export function points([x0, across, y0, down, z], depth, columns, rows) {
+  const count = columns * rows;
+  const found = new Float64Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const x = x0 + across * (i % columns);
+    const y = y0 + down * Math.floor(i / columns);
+    const share = depth[i] / Math.sqrt(x * x + y * y + z * z);
+    found[i] = finite(x * share);
+    found[count + i] = finite(y * share);
+    found[2 * count + i] = finite(z * share);
+  }
+  return found;
+}
+
+/**
+ * The normals of spheres at points, towards the eye.
+ * @param {number[][]} spheres centre and squared half axes
+ * @param {Float32Array} places
+ * @param {Float32Array} ids
+ */
+export function normals(spheres, places, ids) {
+  const count = ids.length;
+  const found = new Float64Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const of = spheres[ids[i]];
+    if (!of) continue;
+    const [px, py, pz] = [places[i], places[count + i], places[2 * count + i]];
+    const x = (px - of[0]) / of[3];
+    const y = (py - of[1]) / of[4];
+    const z = (pz - of[2]) / of[5];
+    const away = x * px + y * py + z * pz > 0;
+    const length = Math.sqrt(x * x + y * y + z * z) * (away ? -1 : 1);
+    found[i] = finite(x / length);
+    found[count + i] = finite(y / length);
+    found[2 * count + i] = finite(z / length);
+  }
+  return found;
+}
+
+/** @param {number} value */
+function finite(value) {
+  return Number.isFinite(value) ? value : 0;
+}

@@ -1,5 +1,5 @@
 // What the page holds: the JSON at once, arrays when they are asked for.
-import { addOther, addPlanar, addRest, inflate, restOf, sum, swapOrder, unpack } from "viewer/codec.js";
+import { addOther, addPlanar, addRest, inflate, normals, orderOf, points, restOf, sum, swapOrder, unpack } from "viewer/codec.js";
 
 /** @type {Run} */
 export const run = JSON.parse(/** @type {HTMLElement} */ (document.getElementById("record")).textContent ?? "");
@@ -108,7 +108,13 @@ function decoded(scene, place, name) {
     const first = needs ? await decoded(scene, 0, name) : null;
     if (stored.prediction === "planar") addPlanar(order, stored.channels, columns, rows);
     else if (stored.prediction === "first" && first) addOther(order, first.order);
-    else addOther(order, swapOrder(new Int32Array(Float32Array.from(sum(parts.map((part) => part.base))).buffer)));
+    else if (stored.prediction === "sum") addOther(order, orderOf(sum(parts.map((part) => part.base))));
+    else {
+      const guides = await Promise.all(stored.guides.map((guide) => decoded(scene, place, guide)));
+      const [one, other] = guides.map((guide) => guide.base);
+      const ray = stored.prediction === "ray";
+      addOther(order, orderOf(ray ? points(scene.rays, one, columns, rows) : normals(scene.surfaces, one, other)));
+    }
     const base = new Float32Array(swapOrder(order).buffer);
     if (!stored.rest) return { base, order, plane: { values: base, channels: stored.channels, exact: !stored.wide } };
     const behind = await block(`x${scene.key}-${place}-${name}`);

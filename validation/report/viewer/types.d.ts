@@ -5,8 +5,9 @@ type Num = number | "inf" | "-inf" | "nan";
 
 interface StoredPass {
   channels: number;
-  prediction: "planar" | "first" | "sum";
+  prediction: "planar" | "first" | "sum" | "ray" | "surface";
   parts: string[];
+  guides: string[];
   wide: boolean;
   based: boolean;
   rest: boolean;
@@ -81,6 +82,8 @@ interface SceneEntry {
   lights: string[];
   options: string;
   margins: string[];
+  rays: [number, number, number, number, number];
+  surfaces: number[][];
   floats: boolean;
   whole: boolean;
   renderers: RendererEntry[];
