@@ -121,6 +121,10 @@ def test_every_mode_shows_something(page: Any) -> None:
     for mode in MODES.values():
         page.locator(f'#v-modes [data-mode="{mode}"]').click()
         settled(page, mode=mode)
+    page.keyboard.press("s")
+    settled(page, split="0.5")
+    page.keyboard.press(".")
+    settled(page, split="0.52")
     page.locator('#v-modes [data-mode="heat"]').click()
     settled(page, mode="heat")
     assert page.locator("#v-bar .ticks span").count() >= 2
@@ -323,6 +327,17 @@ def test_the_summary_leads_to_comparisons(page: Any) -> None:
     dialog.locator('a[href*="pass=normal"]').first.click()
     settled(page, **{"pass": "normal"})
     assert not dialog.is_visible()
+
+
+def test_the_report_in_plain_words_is_one_click_away_and_back(page: Any) -> None:
+    page.keyboard.press("h")
+    settled(page, mode="heat")
+    page.locator("#v-report").click()
+    assert page.locator("#report h1").is_visible()
+    assert not page.locator("#viewer").is_visible()
+    page.locator("#report .kicker a").click()
+    assert page.locator("#viewer").is_visible()
+    settled(page, mode="heat")
 
 
 def test_text_of_the_viewer_has_contrast_and_controls_have_names(page: Any) -> None:

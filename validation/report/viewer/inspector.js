@@ -157,7 +157,7 @@ function passTable(seen, name) {
         rest = `<td>${brief(difference)}</td><td>${difference ? brief(relative) : "0"}</td><td title="numbers of float${both ? 64 : 32} apart">${brief(between)}${between && both ? "<sub>64</sub>" : ""}</td>`;
       } else if (first && value !== first.value) rest = '<td colspan="3"><b>differs</b></td>';
       const eight = row.name === "beauty" ? `<td>${level(value, !wide)}</td>` : "";
-      body += `<tr${letter ? ' class="pair"' : ""}>${head}<td class="value" ${data}>${shown}${meaning(scene, row, value)}</td>${rest}${eight}</tr>`;
+      body += `<tr${letter ? ' class="pair"' : ""}>${head}<td class="value" title="${value}" ${data}>${shown}${meaning(scene, row, value)}</td>${rest}${eight}</tr>`;
       first ??= { value, wide, text };
     }
   });

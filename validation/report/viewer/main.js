@@ -459,7 +459,7 @@ function overview() {
     ["largest error", one.max === null ? "–" : brief(number(one.max))],
     ["interior pixels", `${one.interior}, ${one.interior_over} over tolerance`],
     ["edge pixels", `${one.edge}, ${one.edge_over} over tolerance`],
-    ["worst over tolerance", one.ratio === null ? "–" : `${brief(number(one.ratio))} of ${brief(number(one.tolerance))}`],
+    ["worst interior pixel", one.ratio === null ? "–" : `${brief(number(one.ratio))} × its tolerance of ${brief(number(one.tolerance))}`],
   ];
   const reason = one.reason ? `<p class="reason">${escaped(one.reason)}</p>` : "";
   return `${reason}<table class="values"><tbody>${rows.map(([name, text]) => `<tr><th>${name}</th><td>${text}</td></tr>`).join("")}</tbody></table><details><summary>Scene file</summary><pre>${escaped(state.scene.text)}</pre></details>`;
@@ -593,6 +593,8 @@ const KEYS = {
   c: () => change({ clip: !state.clip }),
   e: () => change({ exposure: Math.min(16, state.exposure + 0.5) }),
   E: () => change({ exposure: Math.max(-8, state.exposure - 0.5) }),
+  ",": () => change({ split: Math.max(0, state.split - 0.02) }),
+  ".": () => change({ split: Math.min(1, state.split + 0.02) }),
   w: goToWorst,
   n: () => stepVerdict(1),
   p: () => stepVerdict(-1),
@@ -645,7 +647,8 @@ function route() {
   document.documentElement.classList.toggle("viewing", !plain);
   if (plain) return;
   summary.close();
-  state = fromAddress(location.hash);
+  // Back from the report, where one was.
+  if (location.hash !== "#/" || !stageElement.dataset.ready) state = fromAddress(location.hash);
   void draw();
 }
 
@@ -682,6 +685,8 @@ function begin() {
     if (!place.firstChild) place.innerHTML = matrix();
     summary.showModal();
   });
+  const back = Object.assign(document.createElement("a"), { href: "#/", textContent: "Viewer" });
+  report.querySelector(".kicker")?.append(" · ", back);
   addEventListener("keydown", onKey);
   addEventListener("hashchange", route);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => stage.redraw());
