@@ -143,8 +143,12 @@ def test_verdicts_are_told_by_shape_and_words(page: Any) -> None:
     assert "double is off: 13" in key
     assert "crossed: unexplained, or a known mistake: 13" in key
     assert page.locator("#v-bar svg g.square").count() == 1
+    page.keyboard.press("Escape")
+    settled(page, at="")
+    told = page.locator("#v-values .verdict").inner_text()
+    assert re.search(r"unexplained\s+13 × double", told)
     page.keyboard.press("n")
-    page.wait_for_function("!location.hash.includes('at=30%2C20')")
+    page.wait_for_function("/at=\\d/.test(location.hash)")
 
 
 def test_edges_are_outlined_in_every_line_style(page: Any) -> None:

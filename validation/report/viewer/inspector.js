@@ -189,6 +189,27 @@ function sentence(finding, letter) {
   return `<p><span class="chip ${finding.explained ? "ok" : "bad"}"><span aria-hidden="true">${finding.explained ? "✓" : "✗"}</span> ${escaped(label)}</span> <b>${letter ? `${letter} ` : ""}${escaped(finding.renderer)}</b> ${escaped(says)}${finding.because && !finding.right ? `<br><span class="soft">${escaped(finding.because)}</span>` : ""}</p>`;
 }
 
+/**
+ * What the judged pixels of a pair come to, the most frequent first.
+ * @param {Pair} pair
+ */
+export function causes(pair) {
+  /** @type {Map<string, { finding: Finding, count: number }>} */
+  const found = new Map();
+  for (const finding of pair.verdicts.flatMap((verdict) => verdict.findings.filter((one) => !one.right))) {
+    const key = [finding.renderer, finding.cause, finding.cause === "mistake" || finding.cause === "rule" ? finding.because : ""].join("\n");
+    const entry = found.get(key) ?? { finding, count: 0 };
+    entry.count += 1;
+    found.set(key, entry);
+  }
+  const order = [...found.values()].sort((a, b) => Number(a.finding.explained) - Number(b.finding.explained) || b.count - a.count);
+  const lines = order.slice(0, 4).map(({ finding, count }) => {
+    const { explained, cause, because, renderer } = finding;
+    return `<p><span class="chip ${explained ? "ok" : "bad"}"><span aria-hidden="true">${explained ? "✓" : "✗"}</span> ${escaped(run.causes[cause] ?? cause)}</span> ${count} × <b>${escaped(renderer)}</b> <span class="soft">${escaped(because)}</span></p>`;
+  });
+  return lines.length ? `<section class="verdict${order[0].finding.explained ? "" : " alarm"}"><h3>The pixels that were judged</h3>${lines.join("")}</section>` : "";
+}
+
 /** @param {Seen} seen */
 function verdicts(seen) {
   const { state, pixel } = seen;
@@ -202,7 +223,7 @@ function verdicts(seen) {
     text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? "not among the pixels judged in this run: the command below judges it" : "no pixel was judged";
-    text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>`;
+    text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(found.pair)}`;
   }
   const others = scene.pairs.filter((pair) => pair !== found?.pair);
   for (const pair of others) {

@@ -1,7 +1,7 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
 import { brightened, decades, differences, logarithmic, inferno, picture, range, signed } from "viewer/colors.js";
 import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run } from "viewer/data.js";
-import { brief, escaped, inspect } from "viewer/inspector.js";
+import { brief, causes, escaped, inspect } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
 import { outline, styles } from "viewer/outlines.js";
@@ -214,7 +214,7 @@ async function readAhead(scene) {
     if (!next || state.scene !== scene) continue;
     const { pass, a, b } = landing(next);
     for (const [place, name] of /** @type {[number, string][]} */ ([[a, pass], [b, pass], [a, "id"], [b, "id"]])) {
-      await plane(next, place, name);
+      if (state.scene === scene) await plane(next, place, name);
     }
   }
 }
@@ -397,6 +397,9 @@ function colorBar(scale, both) {
  * @param {SceneEntry} scene
  */
 async function fetchOthers(mine, scene) {
+  // Whoever runs through the scenes is not kept waiting by what they pass.
+  await new Promise((resume) => setTimeout(resume, 150));
+  if (state.scene !== scene) return;
   have.margins = await margins(scene);
   const rest = [state.a, state.b, ...scene.renderers.keys()];
   for (const name of [state.pass, ...passesOf(scene)]) {
@@ -462,7 +465,7 @@ function overview() {
     ["worst interior pixel", one.ratio === null ? "–" : `${brief(number(one.ratio))} × its tolerance of ${brief(number(one.tolerance))}`],
   ];
   const reason = one.reason ? `<p class="reason">${escaped(one.reason)}</p>` : "";
-  return `${reason}<table class="values"><tbody>${rows.map(([name, text]) => `<tr><th>${name}</th><td>${text}</td></tr>`).join("")}</tbody></table><details><summary>Scene file</summary><pre>${escaped(state.scene.text)}</pre></details>`;
+  return `${reason}${causes(now.pair)}<table class="values"><tbody>${rows.map(([name, text]) => `<tr><th>${name}</th><td>${text}</td></tr>`).join("")}</tbody></table><details><summary>Scene file</summary><pre>${escaped(state.scene.text)}</pre></details>`;
 }
 
 /**

@@ -46,7 +46,10 @@ export function worst(scene, pass = "") {
     pairs[0];
   const name = bad(pair) ?? wanted(pair)[0] ?? names[0];
   const verdict = pair.verdicts.find((one) => !one.explained) ?? null;
-  const place = pair.passes[name] && !pair.passes[name].ok ? pair.passes[name].worst : verdict;
+  const largest = pair.passes[name] && !pair.passes[name].ok ? pair.passes[name].worst : null;
+  // A pixel of which the page knows why says more than the one that is off most.
+  const judged = pair.verdicts.some((one) => one.x === largest?.x && one.y === largest?.y);
+  const place = judged ? largest : (verdict ?? largest);
   return {
     scene,
     pass: name,
