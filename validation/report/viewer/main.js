@@ -87,13 +87,13 @@ function change(changes) {
 }
 
 let writing = 0;
-/** Browsers refuse to write an address too often. */
+/** Browsers refuse to write an address more than 200 times in 30 seconds. */
 function writeAddress() {
   if (writing) return;
   writing = window.setTimeout(() => {
     writing = 0;
     if (!viewer.hidden) history.replaceState(null, "", address(state));
-  }, 60);
+  }, 160);
 }
 
 /** @param {SceneEntry} scene */
@@ -643,7 +643,8 @@ function onKey(event) {
 
 /** Which of the two is shown, and what. */
 function route() {
-  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  // What is no address of the viewer is an anchor of the report.
+  const target = location.hash.startsWith("#/") ? null : document.querySelector(":target");
   const plain = location.hash === "#report" || (target !== null && report.contains(target));
   viewer.hidden = plain;
   report.hidden = !plain;
