@@ -378,6 +378,7 @@ def validate(
     passes: tuple[str, ...] | None,
     size: tuple[int, int] | None,
     report: Path | None,
+    small: bool,
     json_file: Path | None,
     verdicts: int,
     verbose: bool,
@@ -418,7 +419,7 @@ def validate(
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if json_file:
             _parent(json_file)
-        page = _page(ctx, report) if report else None
+        page = _page(ctx, report, small=small) if report else None
         with _progress() as progress:
             result = run(
                 loaded,
@@ -442,7 +443,7 @@ def validate(
     ctx.exit(result.status)
 
 
-def _page(ctx: click.Context, report: Path) -> Report:
+def _page(ctx: click.Context, report: Path, *, small: bool = False) -> Report:
     """A report that can be written into that folder."""
     from validation.report.report import Report, ours
 
@@ -451,7 +452,7 @@ def _page(ctx: click.Context, report: Path) -> Report:
     _parent(place)
     if not ours(place):
         raise CommandError(f"{place} is no report of whitted", "name another folder, or remove that file")
-    return Report()
+    return Report(small=small)
 
 
 def _command() -> list[str]:
@@ -547,6 +548,7 @@ def check(
     memory: int,
     size: tuple[int, int] | None,
     report: Path | None,
+    small: bool,
     json_file: Path | None,
     verdicts: int,
     **options: Any,
@@ -601,7 +603,7 @@ def check(
         settings = _settings(options | {"sample": "corner"})
         if json_file:
             _parent(json_file)
-        page = _page(ctx, report) if report else None
+        page = _page(ctx, report, small=small) if report else None
         with _progress() as progress:
             common: dict[str, Any] = {
                 "settings": settings,

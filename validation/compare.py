@@ -44,6 +44,8 @@ class Maps:
     compared: Mask
     edge: Mask
     over: Mask
+    #: By kind of margin the pixels that are edges for it; an edge of no kind has no tolerance.
+    kinds: Mapping[str, Mask] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -144,13 +146,19 @@ class Judge:
 
     def edge(self, name: str) -> Mask:
         """Pixels of a pass with a decision that one of the two renderers may take either way, or without a bound."""
-        shape = self.analysis.ids.shape
-        edge = np.zeros(shape, dtype=bool)
+        edge = ~np.isfinite(self.tolerance(name))
+        for mask in self.edges(name).values():
+            edge |= mask
+        return edge
+
+    def edges(self, name: str) -> dict[str, Mask]:
+        """By kind of margin the pixels of a pass with a decision that one of the two may take either way."""
+        found: dict[str, Mask] = {}
         for kind, margin in self.analysis.behind(name).items():
             limit = np.maximum(getattr(self.renderer, kind), getattr(self.reference, kind))
             # Written so that a margin that is NaN makes an edge.
-            edge |= ~(margin >= limit)
-        return edge | ~np.isfinite(self.tolerance(name))
+            found[kind] = np.asarray(~(margin >= limit))
+        return found
 
     def tolerance(self, name: str) -> metrics.Array:
         """How far the two values of an interior pixel may lie apart: the sum of what either may be off by.
@@ -228,7 +236,7 @@ def compare_passes(
                 f"too many edge pixels: {count} of {edge.size}, more than the {cap} that the lengths of the outlines "
                 "explain; one of the two renderers decides too little of this scene"
             )
-        maps = Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared)
+        maps = Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared, judge.edges(name))
         encodings = judge.encodings if name == "beauty" else (None, None)
         yield _measure(blank, a[name], b[name], row, maps, reasons, encodings=encodings)
 
@@ -366,7 +374,7 @@ def _measure(
         "tolerance": float(tolerance[nearest]) if interior.any() else None,
         "ratio": float(ratios[nearest]) if interior.any() else None,
         "worst": worst,
-        "maps": Maps(error, tolerance, compared, maps.edge, compared & over),
+        "maps": Maps(error, tolerance, compared, maps.edge, compared & over, maps.kinds),
     }
     if row.name == "beauty" and visual:
         if any(encodings):

@@ -225,6 +225,9 @@ def results_options(each: str, more: str = "") -> Callable[[Function], Function]
             f"differ; 0: none.{more}",
         )
         report = click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
-        return report(json_option(judged(function)))
+        small = click.option(
+            "--small", is_flag=True, help="A report without the float values of pixels: it then has pictures alone."
+        )
+        return report(small(json_option(judged(function))))
 
     return decorate

@@ -73,6 +73,7 @@ class Rendered:
     reference: Passes
     comparisons: Sequence[Comparison]
     verdicts: Verdicts | None = None
+    analysis: Analysis | None = None
 
 
 @dataclass(kw_only=True)
@@ -334,6 +335,12 @@ def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int
     where = "-" if label == "<stdin>" else label
     known = [name for name in names if name.partition(":")[0] != "image"]
     words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(known)]
+    return f"{shlex.join(words)} {explain_options(label, scene, settings)}".rstrip()
+
+
+def explain_options(label: str, scene: Scene, settings: Settings) -> str:
+    """What such a command needs beside the pixel and the renderers: it is the same for every pixel."""
+    words: list[str] = []
     if not _is_file(label, scene):
         words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
     for name in ("sample", "shadow_epsilon", "max_reflections"):
@@ -660,7 +667,7 @@ def _compare(
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None))
+        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None, analysis))
     result.comparisons += [replace(comparison, maps=None) for comparison in found]
 
 

@@ -18,6 +18,7 @@ from markupsafe import Markup
 from tracer.passes import TABLE, lookup, write_beside
 from validation import pairs
 from validation.report import pictures
+from validation.report.data import VIEWER, Data, modules
 from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
 from validation.report.verdicts import view as view_verdicts
 
@@ -76,6 +77,17 @@ class PassView:
     def count(self) -> int:
         """Pictures that the page shows of it."""
         return sum(shown is not None for shown in (self.a, self.b, self.heat))
+
+    def pictures(self) -> dict[str, Any]:
+        """Where the viewer finds them: their id, or where they have none their address."""
+        found: dict[str, Any] = {}
+        for name, shown in (("a", self.a), ("b", self.a if self.shared else self.b), ("heat", self.heat)):
+            if shown:
+                found[f"picture_{name}"] = shown.key or shown.uri
+                found["how"] = self.a.picture.how if self.a else ""
+        if self.heatmap:
+            found["ticks"] = [[place, text] for place, text in self.heatmap.ticks]
+        return found
 
 
 @dataclass
@@ -162,10 +174,11 @@ def ours(path: Path) -> bool:
 class Report:
     """Collects pictures while scenes are compared, so that no arrays need to be kept, and writes the page."""
 
-    def __init__(self) -> None:
-        """Empty."""
+    def __init__(self, *, small: bool = False) -> None:
+        """Empty; `small`: without the float data, so that every pass has its pictures instead."""
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
+        self._data = Data(small=small)
 
     def add(self, rendered: Rendered) -> None:
         """Make the pictures of one scene and one pair."""
@@ -184,6 +197,8 @@ class Report:
         for comparison in rendered.comparisons:
             scene.passes.append(self._view(scene, comparison, rendered.renderer, rendered.reference))
         self._scenes.append(scene)
+        shown = {view.comparison.pass_name: view.pictures() for view in scene.passes}
+        self._data.add(rendered, scene.anchor, scene.verdicts, shown, ok=scene.ok)
 
     def _view(self, scene: SceneView, comparison: Comparison, a: Passes, b: Passes) -> PassView:
         anchor, maps = f"{scene.anchor}-{comparison.pass_name}", comparison.maps
@@ -201,9 +216,13 @@ class Report:
         view.nearest = _nearest(comparison, maps)
         name, everywhere = comparison.pass_name, np.ones(maps.edge.shape, dtype=bool)
         hits = tuple(np.asarray(side["id"]) >= 0 if "id" in side else everywhere for side in (a, b))
-        drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
         view.heatmap = pictures.heatmap(maps.error, maps.compared, maps.edge)
         view.identical = view.heatmap is None
+        # What agrees is in the float data; the part that needs no script is the leaner for it.
+        if comparison.ok and name != "beauty" and not self._data.small and any(other.a for other in scene.passes):
+            view.heatmap = None
+            return view
+        drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
         view.shared = view.identical and drawn[0].uri == drawn[1].uri
         view.a = self._store(drawn[0])
         view.b = None if view.shared else self._store(drawn[1])
@@ -239,11 +258,19 @@ class Report:
         environment.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
         environment.filters |= {"scaled": scaled}
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
+        style += (VIEWER / "viewer.css").read_text(encoding="utf-8")
+        top = headline(result)
+        record, blocks = self._data.page(
+            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions}
+        )
         page = environment.get_template("report.html.j2").render(
             result=result,
             style=Markup(style),
             mark=Markup(MARK) + importlib.metadata.version("whitted"),
-            headline=headline(result),
+            headline=top,
+            record=Markup(record),
+            blocks=[(key, Markup(text)) for key, text in blocks],
+            modules=Markup(modules()),
             scenes=self._ordered(),
             summary=self._summary(),
             names=pairs.names(result.comparisons),
