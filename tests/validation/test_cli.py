@@ -20,7 +20,8 @@ from doubles import Double
 import validation.__main__ as program
 from tracer import _native
 from tracer.passes import SAMPLES, Passes
-from validation import cli, options
+from validation import options
+from validation.commands import errors, inputs
 from validation.run import MOST_VERDICTS
 
 
@@ -30,10 +31,10 @@ def test_of_a_file_that_is_no_scene_the_beginning_is_told(run: Any, tmp_path: Pa
         text.write_text("once upon a time\n" * lines)
         result = run("validate", text, *NATIVE)
         assert result.status == 2
-        assert result.err.count(": error: found 'once'") == cli.MOST_ERRORS
+        assert result.err.count(": error: found 'once'") == errors.MOST_ERRORS
         counted = result.err.splitlines()[-1]
         assert counted.startswith(f"{text}: error: and ")
-        assert int(counted.split()[-2]) > lines - cli.MOST_ERRORS, "what is missing is counted, too"
+        assert int(counted.split()[-2]) > lines - errors.MOST_ERRORS, "what is missing is counted, too"
 
 
 #: The command line (SCENE stands for a scene file), what its error says, and what its hint says.
@@ -151,7 +152,7 @@ def test_an_instruction_set_that_is_not_there(
 def test_the_samples_are_those_of_the_renderers() -> None:
     assert options.SAMPLES == SAMPLES
     assert options.MOST_THREADS == _native.MOST_THREADS
-    assert f"more than {cli.LONGEST_SIDE} columns" in options.NO_LIMITS
+    assert f"more than {inputs.LONGEST_SIDE} columns" in options.NO_LIMITS
     assert options.MOST_VERDICTS == MOST_VERDICTS
 
 

@@ -1,0 +1,160 @@
+"""`whitted check`: the image of somebody's ray tracer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from validation.commands.errors import CommandError, errors
+from validation.commands.inputs import check_size, settings_of
+from validation.commands.outputs import command_line, page_in, progressing, writable, write_text
+from validation.options import Size, Whole, drawing_options, results_options
+
+
+@click.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE...", type=click.Path(path_type=Path))
+@click.option(
+    "--image",
+    "images",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The image (PPM or PNG) of the scene; of several scenes one each, in their order.",
+)
+@click.option(
+    "--command",
+    "templates",
+    multiple=True,
+    metavar="'CMD {scene}'",
+    help="A program that draws the scenes: see above; of several each gets a line in a table.",
+)
+@click.option(
+    "--time-limit",
+    type=Whole(1, hint="in seconds"),
+    default=60,
+    show_default=True,
+    metavar="S",
+    help="Seconds that the program may take for a scene.",
+)
+@click.option(
+    "--memory",
+    type=Whole(1, hint="in MiB"),
+    default=4096,
+    show_default=True,
+    metavar="M",
+    help="MiB of memory that the program may take.",
+)
+@click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
+@drawing_options
+@results_options("each image", " Without it no more than 12 where these all come to the same, or than 20 s allow.")
+@click.pass_context
+def check(
+    ctx: click.Context,
+    /,
+    scenes: tuple[Path, ...],
+    images: tuple[Path, ...],
+    templates: tuple[str, ...],
+    time_limit: int,
+    memory: int,
+    size: tuple[int, int] | None,
+    report: Path | None,
+    small: bool,
+    json_file: Path | None,
+    verdicts: int,
+    **options: Any,
+) -> None:
+    """Check the image that your ray tracer made of a scene: fit its conventions, and judge what is left.
+
+    Programs differ in where a ray goes through its pixel, in what becomes of a colour on its way to a byte, and in the
+    order of rows. The convention that explains the most pixels is found first and is no fault; what is left is
+    compared, and judged pixel by pixel.
+
+    With --command your program is run for every scene: {scene} is the path of the scene file, {output} the path where
+    the image is wanted; without it the file of the field OUTPUT is taken, or else what is printed.
+
+    \b
+    whitted check scenes/gallery/shadows.txt --image shadows.ppm
+    whitted check scenes/gallery/*.txt --command './mine {scene}' --report out
+    whitted check scenes/spec/*.txt --command 'ann/mine {scene}' --command 'bob/mine {scene}' --json all.json
+
+    Exit status: 0 nothing is left, 1 something is or a program did not end well, 2 the input or the command is wrong,
+    3 a program failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation import renderers
+    from validation.check import check, draw_pictures, read_picture, together
+    from validation.renderers.command import MEBIBYTE, PREFIX, Limits
+    from validation.run import load_scenes, resized
+    from validation.terminal import print_check, print_checks
+
+    command, templates = command_line(), tuple(dict.fromkeys(templates))
+    with errors("checked"):
+        if bool(images) == bool(templates):
+            hint = "whitted check SCENE --image FILE, or whitted check SCENE... --command './mine {scene}'"
+            what = "--image and --command exclude each other" if images else "expected either --image or --command"
+            raise CommandError(what, hint)
+        if images and len(images) != len(scenes):
+            counts = f"{len(scenes)} scenes" if len(scenes) > 1 else "1 scene"
+            raise CommandError(
+                f"expected {len(scenes)} --image for {counts}, found {len(images)}", "one each, in order"
+            )
+        if images and len(set(scenes)) < len(scenes):
+            raise CommandError("a scene is named twice", "each scene once, with its image")
+        if images and size:
+            raise CommandError("--size: an image has the size that it has", "--size goes with --command")
+        check_size(size, no_limits=options["no_limits"])
+        # Not folders: images belong to scenes by their order.
+        if images and (folder := next((path for path in scenes if path.is_dir()), None)):
+            raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
+        for template in templates:
+            renderers.get(f"{PREFIX}{template}")
+        loaded = load_scenes(scenes, limits=not options["no_limits"])
+        if size:
+            loaded = {label: resized(scene, size) for label, scene in loaded.items()}
+        settings = settings_of(options | {"sample": "corner"})
+        if json_file:
+            writable(json_file)
+        page = page_in(ctx, report, small=small) if report else None
+        with progressing() as progress:
+            common: dict[str, Any] = {
+                "settings": settings,
+                "verdicts": None if ctx.get_parameter_source("verdicts") is ParameterSource.DEFAULT else verdicts,
+                "on_rendered": page.add if page else None,
+                "progress": progress,
+            }
+            if images:
+                pictures = [
+                    read_picture(path, label, scene)
+                    for path, (label, scene) in zip(images, loaded.items(), strict=True)
+                ]
+                name = f"image:{images[0].name}" if len(images) == 1 else "image"
+                results = {name: check(pictures, name=name, **common)}
+            else:
+                limits, results = Limits(seconds=time_limit, memory=memory * MEBIBYTE), {}
+                try:
+                    for template in templates:
+                        drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
+                        name = f"{PREFIX}{template}"
+                        results[name] = check(drawn, name=name, failures=failures, **common)
+                except KeyboardInterrupt:
+                    # What is finished is told.
+                    if results:
+                        print_checks(results)
+                    raise
+        (first, *others) = results.values()
+        result = together(results) if others else first.validation
+        result.command = command
+        if others:
+            print_checks(results)
+        else:
+            print_check(first)
+        if json_file:
+            programs = [{"program": name, **entry.record()} for name, entry in results.items()]
+            record = {"ok": result.ok, "command": command, "programs": programs} if others else first.record()
+            write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        if page and report:
+            click.echo(page.write(report, result))
+    ctx.exit(max(entry.status for entry in results.values()))

@@ -1,0 +1,106 @@
+"""`whitted validate`: renderers side by side on scenes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from validation.commands.errors import CommandError, errors
+from validation.commands.inputs import check_pairs, check_pass_names, check_size, settings_of
+from validation.commands.outputs import command_line, page_in, progressing, writable, write_text
+from validation.options import Size, names_option, results_options, settings_options
+from validation.terminal import print_validation
+
+
+@click.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
+@names_option("--renderer", default=["native-f64"], show_default=True, help="What is under test.")
+@names_option("--against", default=["mitsuba-spec"], show_default=True, help="What it is compared with.")
+@click.option(
+    "--all-pairs",
+    is_flag=True,
+    help="Compare every pair, of the renderers named or of all that can run here: who stands alone?",
+)
+@names_option("--passes", help="Passes to compare, for example beauty,shadow.L*; default: all.")
+@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@settings_options
+@results_options("each scene and pair")
+@click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
+@click.pass_context
+def validate(
+    ctx: click.Context,
+    /,
+    scenes: tuple[Path, ...],
+    renderer: tuple[str, ...],
+    against: tuple[str, ...],
+    all_pairs: bool,
+    passes: tuple[str, ...] | None,
+    size: tuple[int, int] | None,
+    report: Path | None,
+    small: bool,
+    json_file: Path | None,
+    verdicts: int,
+    verbose: bool,
+    **options: Any,
+) -> None:
+    """Compare renderers on scene files and on all scenes (*.txt) below folders, and judge where they differ.
+
+    \b
+    whitted validate scenes/gallery/mirrors.txt --report out
+    whitted validate scenes --renderer native-f64 --against mitsuba-spec,numpy-f64 --size 100x100
+    whitted validate scenes/gallery --all-pairs
+
+    Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a
+    renderer failed.
+    """  # noqa: D301 - click wants that character, not a backslash
+    from validation import renderers
+    from validation.run import load_scenes
+    from validation.run import validate as run
+
+    command = command_line()
+    with errors():
+        check_pass_names(passes or ())
+        if all_pairs:
+            given = ctx.get_parameter_source
+            named = [
+                name
+                for option, names in (("renderer", renderer), ("against", against))
+                if given(option) is not ParameterSource.DEFAULT
+                for name in names
+            ]
+            renderer, against = tuple(named or (entry.name for entry in renderers.best())), ()
+            if len(renderer) == 1:
+                raise CommandError(f"--all-pairs: {renderer[0]} alone makes no pair", "--renderer A,B names two")
+        for name in (*renderer, *against):
+            renderers.get(name)
+        check_pairs(renderer, against)
+        check_size(size, no_limits=options["no_limits"])
+        loaded = load_scenes(scenes, limits=not options["no_limits"])
+        if json_file:
+            writable(json_file)
+        page = page_in(ctx, report, small=small) if report else None
+        with progressing() as progress:
+            result = run(
+                loaded,
+                renderer,
+                against,
+                passes=passes,
+                size=size,
+                settings=settings_of(options),
+                limits=not options["no_limits"],
+                verdicts=verdicts,
+                on_rendered=page.add if page else None,
+                progress=progress,
+                all_pairs=all_pairs,
+            )
+        result.command = command
+        print_validation(result, verbose=verbose or len(loaded) == 1)
+        if json_file:
+            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+        if page and report:
+            click.echo(page.write(report, result))
+    ctx.exit(result.status)
