@@ -47,6 +47,7 @@ from validation.terminal import (
     print_notes,
     room_for_names,
 )
+from validation.timing import TimeLeft
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
@@ -123,10 +124,11 @@ def prove_scene(
     lit = [np.zeros(len(every), bool) for _ in scene.lights]
     unsettled = np.zeros(len(every), bool)
     had = np.ones(len(every), bool)
+    left = TimeLeft(len(every))
     with closing(proved_or_not(scene, every, settings, jobs=jobs)) as found:
         for place, truth in enumerate(found):
             if progress and place % 100 == 0:
-                progress(f"{place} of {len(every)} pixels proved")
+                progress(f"{place} of {len(every)} pixels proved{left.says(place)}")
             if truth is None:
                 had[place] = False
                 continue
@@ -540,9 +542,10 @@ def certify_scenes(
     programs = list(dict.fromkeys(programs))
     result = Certification(settings=settings, pixels=pixels, edges=edges, seed=seed, versions=versions(programs))
     usable = result.usable(programs)
-    for label, scene in scenes.items():
+    for place, (label, scene) in enumerate(scenes.items()):
         proofs: dict[tuple[int, int], Proof] = {}
-        say = functools.partial(_say, progress, label)
+        count = f"scene {place + 1} of {len(scenes)}: " * (len(scenes) > 1)
+        say = functools.partial(_say, progress, f"{count}{label}")
         for program in usable:
             try:
                 with result.trying(label, program):

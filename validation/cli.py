@@ -24,6 +24,7 @@ from validation.commands.errors import (
     WRONG,
     CommandError,
     ReaderGoneError,
+    StoppedError,
     sentence,
 )
 from validation.commands.explain import explain
@@ -89,10 +90,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except click.ClickException as error:
         status = WRONG
         complain(*sentence(error))
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as error:
         status = TERMINATED if terminated.is_set() else INTERRUPTED
-        if status == INTERRUPTED:
-            complain("interrupted")
+        cause = error.__cause__ or error  # click makes an Abort of it
+        kept = cause.kept if isinstance(cause, StoppedError) else ""
+        if kept or status == INTERRUPTED:
+            complain(": ".join(filter(None, ("interrupted" if status == INTERRUPTED else "terminated", kept))))
     except (BrokenPipeError, ReaderGoneError):
         status = PIPE_CLOSED
     except OSError as error:

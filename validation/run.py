@@ -26,6 +26,7 @@ from validation import pairs, renderers
 from validation.compare import Comparison, Judge, Record, compare_passes, json_value
 from validation.encoding import Encoding
 from validation.renderers import Renderer, Settings, Uncertainty
+from validation.timing import TimeLeft
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -135,11 +136,25 @@ class Validation(Outcome):
     wrong: tuple[str, ...] = ()
     #: What was asked for and not compared, as a renderer lacks it: scene, renderer, pass.
     lacking: set[tuple[str, str, str]] = field(default_factory=set)
+    #: The scenes that were asked for, and those of them that are not done yet: of what ended early.
+    scenes: tuple[str, ...] = ()
+    unfinished: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
-        """Whether something was compared, everything agrees and no renderer failed."""
-        return self.status == 0
+        """Whether something was compared, everything agrees, no renderer failed, and nothing is missing."""
+        return self.status == 0 and not self.unfinished
+
+    def snapshot(self) -> Validation:
+        """What is there now; the lists of this one go on."""
+        return replace(
+            self,
+            comparisons=[*self.comparisons],
+            verdicts=[*self.verdicts],
+            notes=[*self.notes],
+            failures=[*self.failures],
+            lacking={*self.lacking},
+        )
 
     @property
     def status(self) -> int:
@@ -182,6 +197,7 @@ class Validation(Outcome):
             "verdicts": [verdicts.record() for verdicts in self.verdicts],
             "notes": [vars(note).copy() for note in self.notes],
             "failures": [vars(note).copy() for note in self.failures],
+            "unfinished": list(self.unfinished),
         }
         strict: Record = json_value(entry)
         return strict
@@ -419,6 +435,7 @@ def validate(
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
     all_pairs: bool = False,
+    on_scene: Callable[[Validation], None] | None = None,
 ) -> Validation:
     """Draw every scene with every renderer and every reference, and compare each pair pass by pass.
 
@@ -427,7 +444,7 @@ def validate(
     in time at this size are compared at a smaller one, and a note says so. `verdicts`: the most pixels of a scene and
     pair that are judged where they differ; of more a random sample. `first`: no more are judged than so many of them
     if these all come to the same mistake, or to none that is known; 0: all are. `all_pairs`: every pair of all of them,
-    each drawn once.
+    each drawn once. `on_scene`: called after every scene with what was found so far.
 
     Raises:
         SceneFilesError: a scene cannot be read.
@@ -448,21 +465,27 @@ def validate(
         check_memory(label, scene, _asked(scene, settings, passes))
     tested, references = _renderers(renderer), _renderers(against)
     every = dict.fromkeys([*tested, *references])
-    result = Validation(settings=settings, versions=versions(every))
+    labels = tuple(at_sizes)
+    result = Validation(settings=settings, versions=versions(every), scenes=labels, unfinished=labels)
     usable = result.usable(every)
     against_each = itertools.combinations(every, 2) if all_pairs else itertools.product(tested, references)
     chosen = [
         (one, other) for one, other in against_each if one.name != other.name and one in usable and other in usable
     ]
-    for label, at_size in at_sizes.items():
+    left = TimeLeft(len(at_sizes) * len(chosen))
+    for place, (label, at_size) in enumerate(at_sizes.items()):
         shared = _Shared()
-        for one, other in chosen:
+        for number, (one, other) in enumerate(chosen, place * len(chosen)):
             if progress:
-                progress(f"{label}: {one.name} against {other.name}")
+                count = f"scene {place + 1} of {len(at_sizes)}: " * (len(at_sizes) > 1)
+                progress(f"{count}{label}: {one.name} against {other.name}{left.says(number)}")
             try:
                 _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
             except _PairError as error:
                 result.fail(error.note)
+        result.unfinished = labels[place + 1 :]
+        if on_scene:
+            on_scene(result)
     return result
 
 

@@ -118,6 +118,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         total
         + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
         + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        + (f", {len(result.unfinished)} of {len(result.scenes)} scenes are missing" if result.unfinished else "")
     )
 
 

@@ -36,6 +36,15 @@ class CommandError(click.ClickException):
         self.status = status
 
 
+class StoppedError(KeyboardInterrupt):
+    """Ctrl-C, or what ends the program like it, and what was kept of what was done."""
+
+    def __init__(self, kept: str) -> None:
+        """`kept`: a clause; "" where there was nothing to keep."""
+        super().__init__(kept)
+        self.kept = kept
+
+
 def sentence(error: click.ClickException) -> tuple[str, str]:
     """What click finds wrong, and a hint, in our words."""
     context = getattr(error, "ctx", None)

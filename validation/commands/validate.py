@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ from click.core import ParameterSource
 
 from validation.commands.errors import CommandError, errors
 from validation.commands.inputs import check_pairs, check_pass_names, check_size, settings_of
-from validation.commands.outputs import command_line, page_in, progressing, writable, write_text
+from validation.commands.outputs import command_line, progressing
+from validation.commands.results import Results
 from validation.options import Size, names_option, results_options, settings_options
 from validation.terminal import print_validation
 
@@ -80,10 +81,9 @@ def validate(
         check_pairs(renderer, against)
         check_size(size, no_limits=options["no_limits"])
         loaded = load_scenes(scenes, limits=not options["no_limits"])
-        if json_file:
-            writable(json_file)
-        page = page_in(ctx, report, small=small) if report else None
-        with progressing() as progress:
+        results = Results(ctx, command, report=report, small=small, json_file=json_file)
+        tell = functools.partial(print_validation, verbose=verbose or len(loaded) == 1)
+        with results.keeping(tell), progressing() as progress:
             result = run(
                 loaded,
                 renderer,
@@ -93,14 +93,12 @@ def validate(
                 settings=settings_of(options),
                 limits=not options["no_limits"],
                 verdicts=verdicts,
-                on_rendered=page.add if page else None,
+                on_rendered=results.page.add if results.page else None,
                 progress=progress,
                 all_pairs=all_pairs,
+                on_scene=results.scene,
             )
         result.command = command
-        print_validation(result, verbose=verbose or len(loaded) == 1)
-        if json_file:
-            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
-        if page and report:
-            click.echo(page.write(report, result))
+        tell(result)
+        results.finish(result)
     ctx.exit(result.status)

@@ -17,6 +17,8 @@ from validation.report.verdicts import CAUSES
 from validation.run import explain_options
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from numpy.typing import NDArray
 
     from tracer.passes import Passes
@@ -182,11 +184,15 @@ class Data:
         text = floats.store_bytes(flags.astype(np.uint8))
         return self._flags.setdefault(text, f"f{len(self._flags)}")
 
-    def page(self, about: Json) -> tuple[str, list[tuple[str, str]]]:
-        """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last."""
+    def page(self, about: Json, unfinished: Container[str] = ()) -> tuple[str, list[tuple[str, str]]]:
+        """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last.
+
+        `unfinished`: the scenes, by label, that are left out as well.
+        """
         left = MOST - sum(map(len, self._flags))
         blocks = {key: text for text, key in self._flags.items()}
-        ordered = sorted(self._scenes.values(), key=lambda scene: scene.ok)
+        finished = [scene for scene in self._scenes.values() if scene.entry["label"] not in unfinished]
+        ordered = sorted(finished, key=lambda scene: scene.ok)
         tiers = {scene.key: 0 for scene in ordered}  # how many of them are in the page
         for tier in () if self.small else range(3):
             for scene in ordered:

@@ -179,6 +179,7 @@ class Report:
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
         self._data = Data(small=small)
+        self._unfinished: frozenset[str] = frozenset()
 
     def add(self, rendered: Rendered) -> None:
         """Make the pictures of one scene and one pair."""
@@ -260,8 +261,11 @@ class Report:
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
         style += (VIEWER / "viewer.css").read_text(encoding="utf-8")
         top = headline(result)
+        # A scene may be half done.
+        self._unfinished = frozenset(result.unfinished)
         record, blocks = self._data.page(
-            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions}
+            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
+            self._unfinished,
         )
         page = environment.get_template("report.html.j2").render(
             result=result,
@@ -292,7 +296,10 @@ class Report:
 
     def _ordered(self) -> list[SceneView]:
         """Failures first; the stored pictures keep their order of appearance, as references go by id."""
-        return sorted(self._scenes, key=lambda scene: (scene.failed == 0, scene.ok))
+        return sorted(self._finished(), key=lambda scene: (scene.failed == 0, scene.ok))
+
+    def _finished(self) -> list[SceneView]:
+        return [scene for scene in self._scenes if scene.label not in self._unfinished]
 
     def _lines(self) -> list[Why]:
         """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes.
@@ -310,7 +317,7 @@ class Report:
 
     def _summary(self) -> list[dict[str, Any]]:
         """One table a pair of renderers: scenes by passes."""
-        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._scenes)
+        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._finished())
         tables = []
         for pair in pairs:
             scenes = [scene for scene in self._ordered() if (scene.renderer, scene.reference) == pair]
@@ -358,7 +365,9 @@ def _order(name: str) -> tuple[int, int]:
 def headline(result: Validation) -> str:
     """What came out, in one line; that something failed, or is wrong besides, comes first."""
     wrong = f"Wrong: {'; '.join(result.wrong)}" if result.wrong else ""
-    return ". ".join(filter(None, (failed(result.failures), wrong, compared(result))))
+    done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), 'scene')}"
+    unfinished = f"Unfinished: {done}" if result.unfinished else ""
+    return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, compared(result))))
 
 
 def failed(failures: Sequence[Note]) -> str:
