@@ -28,6 +28,7 @@ from validation.commands.errors import (
     sentence,
 )
 from validation.commands.explain import explain
+from validation.commands.help import ALWAYS, write_examples, write_statuses
 from validation.commands.render import render
 from validation.commands.renderers import list_renderers
 from validation.commands.signals import ending, terminated
@@ -50,6 +51,27 @@ class Commands(click.Group):
             hint = f"did you mean '{near[0]}'?" if near else "see `whitted --help`"
             raise CommandError(f"unknown command '{args[0]}'", hint)
         return super().resolve_command(ctx, args)
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """What it is for, and examples."""
+        super().format_help_text(ctx, formatter)
+        write_examples(formatter, EXAMPLES)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands group by group, and the options."""
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(command.name or "", command.get_short_help_str(100)) for command in commands])
+        click.Command.format_options(self, ctx, formatter)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Exit statuses, and variables of the environment."""
+        write_statuses(formatter, dict(sorted({**ALWAYS, **STATUSES}.items())))
+        with formatter.section("Environment"):
+            formatter.write_dl([*VARIABLES.items()])
+        formatter.write_paragraph()
+        formatter.write_text("whitted COMMAND --help says more, with examples.")
+        super().format_epilog(ctx, formatter)
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         """Parse the words; --help and --version print here."""
@@ -114,14 +136,41 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+#: The commands as `--help` lists them.
+GROUPS: dict[str, tuple[click.Command, ...]] = {
+    "Compare": (validate, check, compare),
+    "Judge": (explain, truth, stability),
+    "Measure": (speed,),
+    "Renderers and files": (list_renderers, render, convert),
+}
+
+EXAMPLES = (
+    "whitted validate scenes/gallery/mirrors.txt --size 100x100 --report report",
+    "raytrace scenes/gallery/shadows.txt -o mine.ppm --sample center",
+    "whitted check scenes/gallery/shadows.txt --image mine.ppm",
+)
+
+STATUSES = {
+    0: "done; all comparisons agree, every difference that was judged is explained",
+    1: "some differ, or one that was judged is not explained",
+    3: "a renderer failed, or nothing could be compared",
+}
+
+VARIABLES = {
+    "NO_COLOR": "if it is not empty, no colours",
+    "WHITTED_ISA": "the instruction set of the native renderers: scalar, sse2, avx2, avx512, neon",
+}
+
+
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(importlib.metadata.version("whitted"), message="%(prog)s %(version)s")
 def whitted() -> None:
     """Draw a scene with several renderers, compare them pass by pass, and say where they differ."""
 
 
-for entry in (validate, check, list_renderers, render, explain, truth, stability, speed, convert, compare):
-    whitted.add_command(entry)
+for group in GROUPS.values():
+    for entry in group:
+        whitted.add_command(entry)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.metadata
 import itertools
 import math
@@ -316,10 +317,26 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
         elif path.exists() or path == STDIN:
             files.append(path)
         else:
-            wrong.append(f"{path}: error: no such file or folder")
+            near = _near(path)
+            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{near}'?" * bool(near))
     if wrong:
         raise SceneFilesError(wrong)
     return list(dict.fromkeys(files))
+
+
+def _near(path: Path) -> Path | None:
+    """The scene or folder that a path was meant to be, in the folder that it names."""
+    try:
+        names = {
+            entry.stem if entry.suffix == ".txt" else entry.name: entry.name
+            for entry in sorted(path.parent.iterdir())
+            if entry.suffix == ".txt" or entry.is_dir()
+        }
+    except OSError:
+        return None
+    # Without the ending, which all have in common.
+    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1)
+    return path.parent / names[near[0]] if near else None
 
 
 def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str, Scene]:

@@ -84,7 +84,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         most = max(alike, key=lambda comparison: comparison.edge)
         names = ", ".join(comparison.pass_name for comparison in alike)
         where = f"{most.scene}: {names} ({most.renderer}, {most.reference})"
-        worst = _worst(most) if len(alike) == 1 else ""
+        worst = worst_of(most) if len(alike) == 1 else ""
         click.secho(f"{where}: {'; '.join(most.reasons)}{worst}", fg="red", color=colorful())
     undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(TOO_MANY)}
     if undecided - {"numpy-f64"}:
@@ -332,7 +332,8 @@ def _legend(groups: Iterable[Sequence[Comparison]], *, verbose: bool, width: int
         yield f"all: /tolerance and interior of the worst pass; {error}edge: of that with most over"
 
 
-def _worst(comparison: Comparison, *, levels: bool = False) -> str:
+def worst_of(comparison: Comparison, *, levels: bool = False) -> str:
+    """The worst pixel and both values, as a clause behind what is wrong; "" where there is none."""
     worst = comparison.worst
     if worst is None:
         return ""
@@ -423,7 +424,7 @@ def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> N
             click.echo(
                 f"{comparison.pass_name}: "
                 + "; ".join(reasons)
-                + _worst(comparison, levels=levels).removeprefix("; " * (not reasons))
+                + worst_of(comparison, levels=levels).removeprefix("; " * (not reasons))
             )
 
 

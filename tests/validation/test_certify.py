@@ -781,7 +781,7 @@ def test_help_shows_examples_and_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert not {"numpy", "rich", "tracer", "flint", "mitsuba"} & set(done.stderr.partition("LOADED")[2].split())
-    assert "\n  whitted truth scenes/gallery/mirrors.txt --at 200 150\n" in done.stdout
+    assert "\n  $ whitted truth scenes/gallery/mirrors.txt --at 200 150\n" in done.stdout
     assert "default: 10" in done.stdout
 
 

@@ -113,9 +113,9 @@ def test_writing_again_takes_a_share_of_the_time(
     written = []
     real = Results.write
 
-    def write(self: Results, result: Any) -> list[Path]:
+    def write(self: Results, result: Any, record: Any = None) -> list[Path]:
         written.append(len(result.unfinished))
-        paths = real(self, result)
+        paths = real(self, result, record)
         self._took = 1000.0  # as if it were a large one
         return paths
 

@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from validation.commands.errors import CommandError, errors
+from validation.commands.errors import CommandError, StoppedError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import check_size, settings_of
-from validation.commands.outputs import command_line, page_in, progressing, writable, write_text
-from validation.options import Size, Whole, drawing_options, results_options
+from validation.commands.outputs import command_line, progressing, summing
+from validation.commands.results import Outputs, Results
+from validation.options import Size, Whole, drawing_options, loudness_options, results_options
+
+if TYPE_CHECKING:
+    from validation.check import Checked
+    from validation.run import Validation
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Check the image that your own ray tracer made.",
+    examples=[
+        "raytrace scenes/gallery/shadows.txt -o mine.ppm --sample center",
+        "whitted check scenes/gallery/shadows.txt --image mine.ppm",
+        "whitted check scenes/spec/diffuse-only.txt --command 'raytrace {scene}' --report report",
+        "whitted check scenes/spec/one-pixel.txt scenes/spec/diffuse-only.txt --command 'raytrace {scene} -o {output}'",
+    ],
+    statuses={
+        0: "nothing is left, every pixel is explained",
+        1: "something is left, or a program did not end well",
+        3: "a program failed",
+    },
+)
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...", type=click.Path(path_type=Path))
 @click.option(
     "--image",
@@ -51,6 +71,7 @@ from validation.options import Size, Whole, drawing_options, results_options
 @click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
 @drawing_options
 @results_options("each image", " Without it no more than 12 where these all come to the same, or than 20 s allow.")
+@loudness_options()
 @click.pass_context
 def check(
     ctx: click.Context,
@@ -61,9 +82,6 @@ def check(
     time_limit: int,
     memory: int,
     size: tuple[int, int] | None,
-    report: Path | None,
-    small: bool,
-    json_file: Path | None,
     verdicts: int,
     **options: Any,
 ) -> None:
@@ -75,22 +93,14 @@ def check(
 
     With --command your program is run for every scene: {scene} is the path of the scene file, {output} the path where
     the image is wanted; without it the file of the field OUTPUT is taken, or else what is printed.
-
-    \b
-    whitted check scenes/gallery/shadows.txt --image shadows.ppm
-    whitted check scenes/gallery/*.txt --command './mine {scene}' --report out
-    whitted check scenes/spec/*.txt --command 'ann/mine {scene}' --command 'bob/mine {scene}' --json all.json
-
-    Exit status: 0 nothing is left, 1 something is or a program did not end well, 2 the input or the command is wrong,
-    3 a program failed.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """
     from validation import renderers
-    from validation.check import check, draw_pictures, read_picture, together
+    from validation.check import check, draw_pictures, read_picture
     from validation.renderers.command import MEBIBYTE, PREFIX, Limits
     from validation.run import load_scenes, resized
     from validation.terminal import print_check, print_checks
 
-    command, templates = command_line(), tuple(dict.fromkeys(templates))
+    command, outputs, templates = command_line(), Outputs.of(options), tuple(dict.fromkeys(templates))
     with errors("checked"):
         if bool(images) == bool(templates):
             hint = "whitted check SCENE --image FILE, or whitted check SCENE... --command './mine {scene}'"
@@ -115,14 +125,12 @@ def check(
         if size:
             loaded = {label: resized(scene, size) for label, scene in loaded.items()}
         settings = settings_of(options | {"sample": "corner"})
-        if json_file:
-            writable(json_file)
-        page = page_in(ctx, report, small=small) if report else None
+        files = Results(ctx, command, outputs)
         with progressing() as progress:
             common: dict[str, Any] = {
                 "settings": settings,
                 "verdicts": None if ctx.get_parameter_source("verdicts") is ParameterSource.DEFAULT else verdicts,
-                "on_rendered": page.add if page else None,
+                "on_rendered": files.page.add if files.page else None,
                 "progress": progress,
             }
             if images:
@@ -141,20 +149,31 @@ def check(
                         results[name] = check(drawn, name=name, failures=failures, **common)
                 except KeyboardInterrupt:
                     # What is finished is told.
-                    if results:
+                    if not results:
+                        raise StoppedError(files.nothing("program")) from None
+                    with summing():
                         print_checks(results)
-                    raise
-        (first, *others) = results.values()
-        result = together(results) if others else first.validation
-        result.command = command
-        if others:
-            print_checks(results)
-        else:
-            print_check(first)
-        if json_file:
-            programs = [{"program": name, **entry.record()} for name, entry in results.items()]
-            record = {"ok": result.ok, "command": command, "programs": programs} if others else first.record()
-            write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
-        if page and report:
-            click.echo(page.write(report, result))
+                    result, record = _together(results, command)
+                    result.scenes = tuple(templates)
+                    result.unfinished = result.scenes[len(results) :]
+                    record |= {"ok": False, "unfinished": list(result.unfinished)}
+                    raise StoppedError(files.keep(result, "programs", record)) from None
+        result, record = _together(results, command)
+        with summing():
+            if len(results) > 1:
+                print_checks(results)
+            else:
+                print_check(*results.values())
+        files.finish(result, record)
     ctx.exit(max(entry.status for entry in results.values()))
+
+
+def _together(results: Mapping[str, Checked], command: Sequence[str]) -> tuple[Validation, dict[str, Any]]:
+    """What came out of all programs: for the report, and for the result file."""
+    from validation.check import together
+
+    (first, *others) = results.values()
+    result = together(results) if others else first.validation
+    result.command = command
+    programs = [{"program": name, **entry.record()} for name, entry in results.items()]
+    return result, {"ok": result.ok, "command": [*command], "programs": programs} if others else first.record()

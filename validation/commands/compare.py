@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from validation.commands.errors import DIFFERENT, CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, refuse_pass
 from validation.commands.outputs import writable, write_text
 from validation.options import json_option, names_option, positive
@@ -19,7 +20,16 @@ if TYPE_CHECKING:
     from tracer.passes import Passes
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Compare two files of passes, or two images.",
+    examples=[
+        "whitted render scenes/gallery/lantern.txt -o a.exr --passes beauty,depth",
+        "whitted render scenes/gallery/lantern.txt -o b.npz --renderer numpy-f64",
+        "whitted compare a.exr b.npz --passes depth --tolerance 0.001",
+    ],
+    statuses={0: "equal within the tolerance", 1: "different"},
+)
 @click.argument("a", type=click.Path(path_type=Path))
 @click.argument("b", type=click.Path(path_type=Path))
 @names_option("--passes", help="Passes to compare; default: all that both files have.")
@@ -33,14 +43,20 @@ if TYPE_CHECKING:
     help="Largest difference that counts as equal.",
 )
 @json_option
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing: the exit status says it.")
 @click.pass_context
 def compare(
-    ctx: click.Context, /, a: Path, b: Path, passes: tuple[str, ...] | None, tolerance: float, json_file: Path | None
+    ctx: click.Context,
+    /,
+    a: Path,
+    b: Path,
+    passes: tuple[str, ...] | None,
+    tolerance: float,
+    json_file: Path | None,
+    quiet: bool,
 ) -> None:
     """Compare two files of passes (.exr, .npz) or two images (.png, .ppm; values are levels
     from 0 to the maximum of the file).
-
-    Exit status: 0 equal, 1 different, 2 the input or the command is wrong.
     """
     from fnmatch import fnmatchcase
 
@@ -73,13 +89,15 @@ def compare(
         labels = {"renderer": str(a), "reference": str(b)}
         found = [compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in chosen]
         equal = all(comparison.ok for comparison in found)
-        if first.shape == second.shape:
+        if quiet:
+            pass
+        elif first.shape == second.shape:
             print_comparisons(found, levels=images[0])
         else:
             sizes = [f"{path} is {side.shape[1]}x{side.shape[0]}" for path, side in ((a, first), (b, second))]
             click.echo(f"DIFFERENT: {', '.join(sizes)} pixels: no pixel was compared")
         alone = [name for name in [*first, *second] if name not in both]
-        if alone and not passes:
+        if alone and not passes and not quiet:
             click.echo(f"note: only in one of the two, not compared: {', '.join(alone)}")
         if json_file:
             record = {"ok": equal, "comparisons": [comparison.record() for comparison in found]}

@@ -8,17 +8,41 @@ from typing import Any
 import click
 
 from validation.commands.errors import CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import load_scene
 from validation.commands.outputs import writable
 from validation.options import NO_LIMITS, SAMPLES, Whole
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Write a scene for Mitsuba or POV-Ray.",
+    examples=[
+        "whitted convert scenes/spec/diffuse-only.txt --to mitsuba -o diffuse-only.xml",
+        "whitted convert scenes/gallery/mirrors.txt --to povray -o mirrors.pov --light 0",
+    ],
+    statuses={0: "the file was written"},
+)
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--to", "target", type=click.Choice(["mitsuba", "povray"]), required=True, help="The other program.")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE")
-@click.option("--sample", type=click.Choice(SAMPLES), default="corner", show_default=True)
-@click.option("--max-reflections", type=Whole(0, 100), default=3, show_default=True, metavar="N")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE", help="The scene to write."
+)
+@click.option(
+    "--sample",
+    type=click.Choice(SAMPLES),
+    default="corner",
+    show_default=True,
+    help="Where in its pixel a ray goes through.",
+)
+@click.option(
+    "--max-reflections",
+    type=Whole(0, 100),
+    default=3,
+    show_default=True,
+    metavar="N",
+    help="Reflected rays in a chain.",
+)
 @click.option("--light", type=Whole(), metavar="I", help="Only light I, from 0; default: all.")
 @click.option("--stock-only", is_flag=True, help="Refuse a scene that needs plugins which Mitsuba does not come with.")
 @click.option("--no-limits", is_flag=True, help=NO_LIMITS)

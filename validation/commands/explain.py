@@ -12,15 +12,16 @@ from typing import Any
 import click
 
 from validation.commands.errors import FAILED, CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import check_pixels, check_size, load_scene, settings_of
 from validation.commands.outputs import progressing, writable, write_text
-from validation.options import Place, Size, json_option, names_option, settings_options
+from validation.options import Place, Size, json_option, loudness_options, names_option, settings_options
 
 #: How a pixel is named.
 XY = "one scene, then a column and a row, from 0 at the top left: whitted explain SCENE X Y"
 
 
-class OnePixel(click.Command):
+class OnePixel(Command):
     """A command whose negative numbers are pixels, not options."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -37,7 +38,15 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
         raise CommandError(f"'{value[0]}' is one word too many", "one pixel at a time: whitted explain SCENE X Y")
 
 
-@click.command(cls=OnePixel)
+@click.command(
+    cls=OnePixel,
+    short_help="Tell the story of one pixel.",
+    examples=[
+        "whitted explain scenes/gallery/mirrors.txt 200 250 --renderer native-f64,native-f32",
+        "whitted explain scenes/spec/mirror-corridor.txt 180 205 --renderer numpy-f64 --json pixel.json",
+    ],
+    statuses={0: "explained", 3: "a renderer failed, or none of those asked for draws the scene"},
+)
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.argument("x", type=Place(hint=XY))
 @click.argument("y", type=Place(hint=XY))
@@ -47,9 +56,10 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
     help="Renderers to hold against truth; default: all. Those that cannot draw the scene, or not soon enough at its "
     "size, are listed as not drawn.",
 )
-@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
 @json_option
+@loudness_options(quieter="No progress.")
 @click.pass_context
 def explain(
     ctx: click.Context,
@@ -66,14 +76,7 @@ def explain(
 
     What its ray hits bounce by bounce, which lights reach that and what hides the others, what each term adds: proved,
     not rounded. Then where each renderer first differs from it.
-
-    \b
-    whitted explain scenes/gallery/mirrors.txt 200 250
-    whitted explain scenes/spec/equal-hits.txt 72 200 --renderer native-f64,mitsuba-spec
-
-    Exit status: 0 explained, 2 the input or the command is wrong, 3 a renderer failed, or none of those asked for draws
-    the scene.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """
     from validation import renderers
     from validation.explain import explain as run
     from validation.explain import small_enough, too_large

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import shlex
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +17,7 @@ from typing import TYPE_CHECKING
 import click
 
 from validation.commands.errors import CommandError
+from validation.options import quiet, verbose
 from validation.terminal import console
 
 if TYPE_CHECKING:
@@ -80,12 +84,49 @@ def command_line() -> list[str]:
 
 @contextmanager
 def progressing() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what is being drawn."""
-    if not sys.stderr.isatty():
+    """Show on a terminal what is being done; with --verbose a line each, anywhere; with --quiet nothing."""
+    start = time.monotonic()
+
+    def say(text: str) -> None:
+        click.echo(f"{time.monotonic() - start:7.1f} s  {text}", err=True)
+
+    if verbose():
+        yield say
+    elif quiet() or not sys.stderr.isatty():
         yield lambda _: None
+    else:
+        from rich import markup
+
+        with console(stderr=True).status("") as status:
+            # What is in brackets is no markup: a command may have some.
+            yield lambda text: status.update(markup.escape(text))
+
+
+@contextmanager
+def summing() -> Iterator[None]:
+    """With --quiet the last line alone of what is printed in here, which is the sum."""
+    if not quiet():
+        yield
         return
-    with console(stderr=True).status("") as status:
-        yield status.update
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        yield
+    for line in text.getvalue().splitlines()[-1:]:
+        click.echo(line)
+
+
+def open_page(path: Path) -> None:
+    """Open a page in the browser."""
+    import webbrowser
+
+    if not webbrowser.open(path.resolve().as_uri()):
+        click.echo(f"note: no browser could be started for {path}", err=True)
+
+
+def check_open(report: Path | None, *, wanted: bool) -> None:
+    """Whether there is something to open."""
+    if wanted and not report:
+        raise CommandError("--open opens a report, and there is none", "--report DIR --open")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -9,19 +9,31 @@ from typing import Any
 import click
 
 from validation.commands.errors import FAILED, CommandError, blaming, errors
+from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_size, load_scene, refuse_pass, settings_of, usable
 from validation.commands.outputs import command_line, writable
 from validation.options import Size, names_option, settings_options
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Draw passes with one renderer into a file.",
+    examples=[
+        "whitted render scenes/gallery/lantern.txt -o lantern.png",
+        "whitted render scenes/gallery/lantern.txt -o lantern.exr --passes 'beauty,depth,reflection*'",
+        "whitted render scenes/gallery/lantern.txt -o numpy.npz --renderer numpy-f64 --size 100x100",
+    ],
+    statuses={0: "the file was written", 3: "the renderer failed, or cannot draw the scene"},
+)
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FILE", help=".exr, .npz, .png or .ppm"
 )
-@click.option("--renderer", default="native-f64", show_default=True, metavar="NAME")
+@click.option(
+    "--renderer", default="native-f64", show_default=True, metavar="NAME", help="What draws; see `whitted renderers`."
+)
 @names_option("--passes", help="Passes to draw; default: beauty for an image, else all.")
-@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
 def render(
     scene: Path,

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from validation.commands.errors import StoppedError
-from validation.commands.outputs import page_in, writable, write_text
+from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
 
 if TYPE_CHECKING:
     from validation.run import Validation
@@ -21,17 +22,38 @@ if TYPE_CHECKING:
 SHARE = 0.1
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """What `results_options` were told."""
+
+    report: Path | None
+    small: bool
+    open_report: bool
+    json_file: Path | None
+    junit: Path | None
+    markdown: Path | None
+
+    @classmethod
+    def of(cls, options: dict[str, Any]) -> Outputs:
+        """Take them from the options of a command."""
+        return cls(**{field.name: options.pop(field.name) for field in fields(cls)})
+
+    @property
+    def files(self) -> list[Path]:
+        """Besides the report."""
+        return [file for file in (self.json_file, self.junit, self.markdown) if file]
+
+
 class Results:
     """The files of one run. Each is written beside its place and renamed: what is there is always whole."""
 
-    def __init__(
-        self, ctx: click.Context, command: list[str], *, report: Path | None, small: bool, json_file: Path | None
-    ) -> None:
+    def __init__(self, ctx: click.Context, command: Sequence[str], outputs: Outputs) -> None:
         """See first whether they can be written."""
-        if json_file:
-            writable(json_file)
-        self._command, self._json, self._folder = command, json_file, report
-        self.page = page_in(ctx, report, small=small) if report else None
+        check_open(outputs.report, wanted=outputs.open_report)
+        for file in outputs.files:
+            writable(file)
+        self._command, self._outputs = command, outputs
+        self.page = page_in(ctx, outputs.report, small=outputs.small) if outputs.report else None
         self.kept: Validation | None = None
         self._written, self._took = -float("inf"), 0.0
 
@@ -42,24 +64,35 @@ class Results:
         if self.kept.unfinished and time.monotonic() - self._written >= self._took / SHARE:
             self.write(self.kept)
 
-    def write(self, result: Validation) -> list[Path]:
-        """Write all files, and return their paths."""
-        start = time.monotonic()
-        paths = []
-        if self._json:
-            write_text(self._json, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
-            paths.append(self._json)
-        if self.page and self._folder:
-            paths.append(self.page.write(self._folder, result))
+    def write(self, result: Validation, record: Mapping[str, Any] | None = None) -> list[Path]:
+        """Write all files, and return their paths; `record`: what the JSON has, None: that of the result."""
+        start, to, paths = time.monotonic(), self._outputs, []
+        if to.json_file:
+            record = result.record() if record is None else record
+            write_text(to.json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        if to.junit:
+            from validation.junit import junit
+
+            write_text(to.junit, junit(result))
+        if to.markdown:
+            from validation.markdown import write_markdown
+
+            write_markdown(to.markdown, result)
+        paths = to.files
+        if self.page and to.report:
+            paths.append(self.page.write(to.report, result))
         self._written = time.monotonic()
         self._took = self._written - start
         return paths
 
-    def finish(self, result: Validation) -> None:
+    def finish(self, result: Validation, record: Mapping[str, Any] | None = None) -> None:
         """All is done: write, and say where the report is."""
-        self.write(result)
-        if self._folder:
-            click.echo(self._folder / "index.html")
+        self.write(result, record)
+        if self._outputs.report:
+            page = self._outputs.report / "index.html"
+            click.echo(page)
+            if self._outputs.open_report:
+                open_page(page)
 
     @contextmanager
     def keeping(self, tell: Callable[[Validation], None]) -> Iterator[None]:
@@ -68,12 +101,19 @@ class Results:
             yield
         except KeyboardInterrupt as error:
             if self.kept is None:
-                asked = self._json or self.page
-                raise StoppedError("no scene was finished, nothing was written" if asked else "") from error
+                raise StoppedError(self.nothing("scene")) from error
             tell(self.kept)
-            paths = self.write(self.kept)
-            every = len(self.kept.scenes)
-            done = f"{every - len(self.kept.unfinished)} of {every} scenes"
-            files = " and ".join(map(str, paths))
-            kept = f"kept {files} with {done}" if paths else f"{done} were finished"
-            raise StoppedError(kept) from error
+            raise StoppedError(self.keep(self.kept, "scenes")) from error
+
+    def keep(self, result: Validation, what: str, record: Mapping[str, Any] | None = None) -> str:
+        """Write what is finished, and return what to say about it; `what`: the parts of which some are not."""
+        paths, every = self.write(result, record), len(result.scenes)
+        done = f"{every - len(result.unfinished)} of {every} {what}"
+        *some, last = map(str, paths) if paths else ("",)
+        files = f"{', '.join(some)} and {last}" if some else last
+        return f"kept {files} with {done}" if paths else f"{done} were finished"
+
+    def nothing(self, what: str) -> str:
+        """What to say where nothing is finished."""
+        asked = self._outputs.files or self.page
+        return f"no {what} was finished, nothing was written" if asked else ""

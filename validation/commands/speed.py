@@ -8,12 +8,40 @@ from pathlib import Path
 import click
 
 from validation.commands.errors import CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import check_size
-from validation.commands.outputs import command_line, page_in, progressing, writable, write_text
-from validation.options import NO_LIMITS, Size, Threads, Whole, json_option, names_option, positive
+from validation.commands.outputs import (
+    check_open,
+    command_line,
+    open_page,
+    page_in,
+    progressing,
+    summing,
+    writable,
+    write_text,
+)
+from validation.options import (
+    NO_LIMITS,
+    Size,
+    Threads,
+    Whole,
+    json_option,
+    loudness_options,
+    names_option,
+    open_option,
+    positive,
+)
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Measure what a picture costs.",
+    examples=[
+        "whitted speed scenes/gallery/shadows.txt --size 64x64 --renderer native-f64 --seconds 0.1 -o speed.svg",
+        "whitted speed scenes/spec/diffuse-only.txt --size 64x64 --renderer native-f32 --seconds 0.1 --json speed.json",
+    ],
+    statuses={0: "measured", 3: "a renderer failed"},
+)
 @click.argument("scenes", nargs=-1, metavar="[SCENE...]", type=click.Path(path_type=Path))
 @names_option(
     "--renderer",
@@ -47,7 +75,9 @@ from validation.options import NO_LIMITS, Size, Threads, Whole, json_option, nam
 @click.option("-o", "--plot", type=click.Path(path_type=Path), metavar="FILE.svg", help="Write the plot.")
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
 @click.option("--no-limits", is_flag=True, help=NO_LIMITS)
+@open_option
 @json_option
+@loudness_options()
 @click.pass_context
 def speed(
     ctx: click.Context,
@@ -65,26 +95,21 @@ def speed(
     plot: Path | None,
     report: Path | None,
     no_limits: bool,
+    open_report: bool,
     json_file: Path | None,
 ) -> None:
     """Measure how quick the renderers are, and how near to the proved values, side by side.
 
     Without a scene those of the gallery that are meant for it. Times are medians with quartiles of pictures drawn in
     turns. docs/speed.md says how each number is made.
-
-    \b
-    whitted speed -o speed.svg
-    whitted speed scenes/gallery/mirrors.txt --renderer native-f64,mitsuba-mesh --json speed.json
-    whitted speed --renderer native-f32 --kernels
-
-    Exit status: 0 done, 2 the input or the command is wrong, 3 a renderer failed.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """
     from validation import speed as module
     from validation.run import load_scenes
     from validation.speed_text import print_speed, write_page
 
     command = command_line()
     with errors("measured"):
+        check_open(report, wanted=open_report)
         chosen = module.entries(renderer, threads)
         check_size(size, no_limits=no_limits)
         files = list(scenes) or module.default_scenes()
@@ -116,7 +141,8 @@ def speed(
 
                 result.kernels = speed_kernels.kernels(loaded, size=size, progress=progress)
         result.command = command
-        print_speed(result)
+        with summing():
+            print_speed(result)
         if json_file:
             write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
         if plot and module.panels(result):
@@ -125,5 +151,8 @@ def speed(
             write_plot(plot, module.panels(result), module.caption(result))
             click.echo(plot)
         if report:
-            click.echo(write_page(report, result))
+            written = write_page(report, result)
+            click.echo(written)
+            if open_report:
+                open_page(written)
     ctx.exit(result.status)

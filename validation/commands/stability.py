@@ -13,17 +13,40 @@ import click
 from click.core import ParameterSource
 
 from validation.commands.errors import INTERRUPTED, TERMINATED, CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
-from validation.commands.outputs import command_line, folder, progressing, writable, write_text
+from validation.commands.outputs import (
+    check_open,
+    command_line,
+    folder,
+    open_page,
+    progressing,
+    summing,
+    writable,
+    write_text,
+)
 from validation.commands.signals import terminated
-from validation.options import Whole, json_option, names_option
+from validation.options import Whole, json_option, loudness_options, names_option, open_option
 
 if TYPE_CHECKING:
     from validation.fuzz import Campaign
     from validation.stability import Stability
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Find out how hard a scene may get.",
+    examples=[
+        "whitted stability --ladder speck,mirrors --renderer native-f64,native-f32 --report curves",
+        "whitted stability --ladder speck --renderer native-f32 --write rungs --json stability.json",
+        "whitted stability --fuzz 2 --renderer numpy-f64 --seed 6",
+    ],
+    statuses={
+        0: "all hold, or everything is explained",
+        1: "one breaks, or something is not explained",
+        3: "a renderer failed",
+    },
+)
 @names_option("--ladder", help="Climb these alone; default: all.")
 @names_option("--renderer", help="What is under test; default: all that can run here.")
 @click.option(
@@ -72,7 +95,9 @@ if TYPE_CHECKING:
     metavar="DIR",
     help="Of --fuzz: where the smallest scene of each kind of failure is kept.",
 )
+@open_option
 @json_option
+@loudness_options()
 @click.pass_context
 def stability(
     ctx: click.Context,
@@ -87,6 +112,7 @@ def stability(
     against: str,
     jobs: int | None,
     output: Path,
+    open_report: bool,
     json_file: Path | None,
 ) -> None:
     """Find out how hard a scene may get before a renderer says something wrong that it claims to tell.
@@ -97,16 +123,7 @@ def stability(
 
     With --fuzz N, random scenes are drawn instead, each with a theme that is hard, and the smallest scenes are kept
     that show what nothing explains.
-
-    \b
-    whitted stability --json stability.json --report stability
-    whitted stability --ladder ground,grazing --renderer native-f32 --write rungs
-    whitted stability --fuzz 100
-    whitted stability --fuzz 1 --seed 7 --first 12 --renderer native-f32,mitsuba-spec
-
-    Exit status: 0 all hold, or everything is explained; 1 one breaks, or something is not; 2 the command is wrong; 3 a
-    renderer failed.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """
     from validation import renderers
 
     command = command_line()
@@ -116,6 +133,7 @@ def stability(
         _check_parts(ctx, scenes is not None)
         for name in (*(renderer or ()), against):
             renderers.get(name)
+        check_open(report, wanted=open_report)
         if json_file:
             writable(json_file)
         if scenes is None:
@@ -124,6 +142,8 @@ def stability(
             result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
         if json_file:
             write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+    if open_report and report and not result.interrupted:
+        open_page(report / "index.html")
     if result.interrupted:
         ctx.exit(TERMINATED if terminated.is_set() else INTERRUPTED)
     ctx.exit(result.status)
@@ -171,7 +191,8 @@ def _fuzz(
             progress=progress,
             command=command,
         )
-    print_campaign(result)
+    with summing():
+        print_campaign(result)
     return result
 
 
@@ -204,7 +225,8 @@ def _climb(
             raise CommandError(message, "name another folder, or remove that file")
     with progressing() as progress:
         result = run(ladder, renderer, jobs=jobs, write=write, progress=progress, command=command)
-    print_stability(result)
+    with summing():
+        print_stability(result)
     if report and result.rungs:
         click.echo(write_curves(result, report))
     if write:

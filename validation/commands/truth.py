@@ -11,16 +11,30 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validation.commands.errors import AT, FAILED, CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_pixels, check_size, settings_of
-from validation.commands.outputs import command_line, progressing, writable, write_text
-from validation.options import Count, Place, Size, Whole, json_option, names_option, settings_options
+from validation.commands.outputs import command_line, progressing, summing, writable, write_text
+from validation.options import Count, Place, Size, Whole, json_option, loudness_options, names_option, settings_options
 
 if TYPE_CHECKING:
     from tracer import Scene
     from validation.renderers import Settings
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Prove pixels, and hold renderers against them.",
+    examples=[
+        "whitted truth scenes/gallery/mirrors.txt --at 200 150",
+        "whitted truth scenes/spec/one-pixel.txt --pixels all -o proved.npz",
+        "whitted truth scenes/spec/touching-spheres.txt --renderer native-f64,native-f32 --pixels 200 --edges 50",
+    ],
+    statuses={
+        0: "proved; with --renderer: all hold what they claim",
+        1: "a renderer does not hold what it claims",
+        3: "a renderer failed, or truth could not be had",
+    },
+)
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
 @click.option(
     "--pixels",
@@ -44,7 +58,7 @@ if TYPE_CHECKING:
     "--edges", type=Whole(), metavar="N", help="With --renderer: N pixels nearest to a decision; default: 500."
 )
 @click.option("--seed", type=Whole(), default=0, show_default=True, metavar="S", help="Of the random pixels.")
-@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
 @click.option("--jobs", type=Whole(1, 1024), metavar="N", help="Processes that prove; default: one a core.")
 @json_option
@@ -55,6 +69,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="With --pixels all, not with --renderer: the proved image of one scene, .npz, .exr, .png or .ppm.",
 )
+@loudness_options(quieter="No progress; with --renderer, of the results the last line alone.")
 @click.pass_context
 def truth(
     ctx: click.Context,
@@ -71,15 +86,7 @@ def truth(
     output: Path | None,
     **options: Any,
 ) -> None:
-    """Prove what single pixels of scenes are, and hold renderers against that.
-
-    \b
-    whitted truth scenes/gallery/mirrors.txt --at 200 150
-    whitted truth scenes/spec/one-pixel.txt --pixels all -o proved.npz
-    whitted truth scenes --renderer native-f64,native-f32 --pixels 2000 --edges 500
-
-    With --renderer exit status 0 means that all renderers hold what they claim, 1 that some do not, 3 that one failed.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """Prove what single pixels of scenes are, and hold renderers against that."""
     from validation.certify import EDGES, PIXELS, certify_scenes, print_certification
     from validation.proofs import PROVED, tell
     from validation.run import load_scenes, resized
@@ -116,7 +123,8 @@ def truth(
             click.echo(output)
         if renderer:
             result.command, status = command, result.status
-            print_certification(result)
+            with summing():
+                print_certification(result)
             if json_file:
                 write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
     ctx.exit(status)

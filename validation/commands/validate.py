@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from validation.commands.errors import CommandError, errors
+from validation.commands.help import Command
 from validation.commands.inputs import check_pairs, check_pass_names, check_size, settings_of
-from validation.commands.outputs import command_line, progressing
-from validation.commands.results import Results
-from validation.options import Size, names_option, results_options, settings_options
+from validation.commands.outputs import command_line, progressing, summing
+from validation.commands.results import Outputs, Results
+from validation.options import Size, loudness_options, names_option, results_options, settings_options, verbose
 from validation.terminal import print_validation
 
+if TYPE_CHECKING:
+    from validation.run import Validation
 
-@click.command()
+
+@click.command(
+    cls=Command,
+    short_help="Compare renderers on scenes, and judge where they differ.",
+    examples=[
+        "whitted validate scenes/gallery/mirrors.txt --size 100x100 --report report",
+        "whitted validate scenes/gallery --size 40x40 --renderer native-f64,native-f32 --against numpy-f64",
+        "whitted validate scenes/gallery/shadows.txt --size 50x50 --all-pairs --renderer native-f64,numpy-f64",
+        "whitted validate scenes/spec/one-pixel.txt --against numpy-f64 -q --junit junit.xml --markdown summary.md",
+    ],
+    statuses={
+        0: "all agree",
+        1: "some differ, or a difference is not explained",
+        3: "a renderer failed, or nothing could be compared",
+    },
+)
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE_OR_FOLDER...", type=click.Path(path_type=Path))
 @names_option("--renderer", default=["native-f64"], show_default=True, help="What is under test.")
 @names_option("--against", default=["mitsuba-spec"], show_default=True, help="What it is compared with.")
@@ -27,10 +44,10 @@ from validation.terminal import print_validation
     help="Compare every pair, of the renderers named or of all that can run here: who stands alone?",
 )
 @names_option("--passes", help="Passes to compare, for example beauty,shadow.L*; default: all.")
-@click.option("--size", type=Size(), help="Columns and rows instead of the scene's own.")
+@click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
 @results_options("each scene and pair")
-@click.option("-v", "--verbose", is_flag=True, help="A row for every pass, as a single scene has anyway.")
+@loudness_options(louder="A row for every pass, as a single scene has anyway; on stderr what is being done.")
 @click.pass_context
 def validate(
     ctx: click.Context,
@@ -41,28 +58,15 @@ def validate(
     all_pairs: bool,
     passes: tuple[str, ...] | None,
     size: tuple[int, int] | None,
-    report: Path | None,
-    small: bool,
-    json_file: Path | None,
     verdicts: int,
-    verbose: bool,
     **options: Any,
 ) -> None:
-    """Compare renderers on scene files and on all scenes (*.txt) below folders, and judge where they differ.
-
-    \b
-    whitted validate scenes/gallery/mirrors.txt --report out
-    whitted validate scenes --renderer native-f64 --against mitsuba-spec,numpy-f64 --size 100x100
-    whitted validate scenes/gallery --all-pairs
-
-    Exit status: 0 all agree, 1 some differ or a difference is not explained, 2 the input or the command is wrong, 3 a
-    renderer failed.
-    """  # noqa: D301 - click wants that character, not a backslash
+    """Compare renderers on scene files and on all scenes (*.txt) below folders, and judge where they differ."""
     from validation import renderers
     from validation.run import load_scenes
     from validation.run import validate as run
 
-    command = command_line()
+    command, outputs = command_line(), Outputs.of(options)
     with errors():
         check_pass_names(passes or ())
         if all_pairs:
@@ -81,8 +85,12 @@ def validate(
         check_pairs(renderer, against)
         check_size(size, no_limits=options["no_limits"])
         loaded = load_scenes(scenes, limits=not options["no_limits"])
-        results = Results(ctx, command, report=report, small=small, json_file=json_file)
-        tell = functools.partial(print_validation, verbose=verbose or len(loaded) == 1)
+        results = Results(ctx, command, outputs)
+
+        def tell(result: Validation) -> None:
+            with summing():
+                print_validation(result, verbose=verbose() or len(loaded) == 1)
+
         with results.keeping(tell), progressing() as progress:
             result = run(
                 loaded,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,15 +184,18 @@ class Data:
         text = floats.store_bytes(flags.astype(np.uint8))
         return self._flags.setdefault(text, f"f{len(self._flags)}")
 
-    def page(self, about: Json, unfinished: Container[str] = ()) -> tuple[str, list[tuple[str, str]]]:
+    def page(self, about: Json, finished: Container[str]) -> tuple[str, list[tuple[str, str]]]:
         """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last.
 
-        `unfinished`: the scenes, by label, that are left out as well.
+        `finished`: the pairs, by anchor, that are in the page.
         """
         left = MOST - sum(map(len, self._flags))
         blocks = {key: text for text, key in self._flags.items()}
-        finished = [scene for scene in self._scenes.values() if scene.entry["label"] not in unfinished]
-        ordered = sorted(finished, key=lambda scene: scene.ok)
+        scenes = [
+            replace(scene, pairs=[pair for pair in scene.pairs if pair["anchor"] in finished])
+            for scene in self._scenes.values()
+        ]
+        ordered = sorted((scene for scene in scenes if scene.pairs), key=lambda scene: scene.ok)
         tiers = {scene.key: 0 for scene in ordered}  # how many of them are in the page
         for tier in () if self.small else range(3):
             for scene in ordered:

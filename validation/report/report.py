@@ -179,7 +179,7 @@ class Report:
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
         self._data = Data(small=small)
-        self._unfinished: frozenset[str] = frozenset()
+        self._finished: list[SceneView] = []
 
     def add(self, rendered: Rendered) -> None:
         """Make the pictures of one scene and one pair."""
@@ -261,11 +261,16 @@ class Report:
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
         style += (VIEWER / "viewer.css").read_text(encoding="utf-8")
         top = headline(result)
-        # A scene may be half done.
-        self._unfinished = frozenset(result.unfinished)
+        # Of a run that ended early, one may be half done.
+        pairs_done = {
+            (comparison.scene, comparison.renderer, comparison.reference) for comparison in result.comparisons
+        }
+        self._finished = [
+            scene for scene in self._scenes if (scene.label, scene.renderer, scene.reference) in pairs_done
+        ]
         record, blocks = self._data.page(
             {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
-            self._unfinished,
+            {scene.anchor for scene in self._finished},
         )
         page = environment.get_template("report.html.j2").render(
             result=result,
@@ -296,10 +301,7 @@ class Report:
 
     def _ordered(self) -> list[SceneView]:
         """Failures first; the stored pictures keep their order of appearance, as references go by id."""
-        return sorted(self._finished(), key=lambda scene: (scene.failed == 0, scene.ok))
-
-    def _finished(self) -> list[SceneView]:
-        return [scene for scene in self._scenes if scene.label not in self._unfinished]
+        return sorted(self._finished, key=lambda scene: (scene.failed == 0, scene.ok))
 
     def _lines(self) -> list[Why]:
         """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes.
@@ -317,7 +319,7 @@ class Report:
 
     def _summary(self) -> list[dict[str, Any]]:
         """One table a pair of renderers: scenes by passes."""
-        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._finished())
+        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._finished)
         tables = []
         for pair in pairs:
             scenes = [scene for scene in self._ordered() if (scene.renderer, scene.reference) == pair]
