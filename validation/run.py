@@ -24,7 +24,7 @@ import tracer.margins
 from tracer._render import check_memory as room_for
 from tracer.passes import TABLE, Passes, lookup, names
 from validation import pairs, renderers
-from validation.compare import Comparison, Judge, Record, compare_passes, json_value
+from validation.compare import Comparison, Judge, Record, compare_passes, json_value, without_maps
 from validation.encoding import Encoding
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.timing import TimeLeft
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from validation.verdict import Court, Verdicts
 
 #: Packages whose version goes into every result.
-PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint")
+PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint", "flip-evaluator")
 
 #: As a path it stands for standard input.
 STDIN = Path("-")
@@ -453,6 +453,7 @@ def validate(
     progress: Callable[[str], None] | None = None,
     all_pairs: bool = False,
     on_scene: Callable[[Validation], None] | None = None,
+    flip: bool = False,
 ) -> Validation:
     """Draw every scene with every renderer and every reference, and compare each pair pass by pass.
 
@@ -462,6 +463,7 @@ def validate(
     pair that are judged where they differ; of more a random sample. `first`: no more are judged than so many of them
     if these all come to the same mistake, or to none that is known; 0: all are. `all_pairs`: every pair of all of them,
     each drawn once. `on_scene`: called after every scene with what was found so far.
+    `flip`: whether FLIP of `beauty` is measured, which takes flip-evaluator and a third of a second for 400x400 pixels.
 
     Raises:
         SceneFilesError: a scene cannot be read.
@@ -491,7 +493,7 @@ def validate(
     ]
     left = TimeLeft(len(at_sizes) * len(chosen))
     for place, (label, at_size) in enumerate(at_sizes.items()):
-        shared = _Shared()
+        shared = _Shared(flip)
         for number, (one, other) in enumerate(chosen, place * len(chosen)):
             if progress:
                 count = f"scene {place + 1} of {len(at_sizes)}: " * (len(at_sizes) > 1)
@@ -547,8 +549,9 @@ def _of(label: str, renderer: Renderer) -> Iterator[None]:
 
 @dataclass
 class _Shared:
-    """What pairs share of one scene, by its size and by renderer."""
+    """What pairs share of one scene, by its size and by renderer; `flip`: whether FLIP is measured."""
 
+    flip: bool = False
     drawn: dict[tuple[str, tuple[int, int]], Passes | None] = field(default_factory=dict)
     analyses: dict[tuple[int, int], Analysis] = field(default_factory=dict)
     claims: dict[tuple[str, tuple[int, int]], Uncertainty] = field(default_factory=dict)
@@ -678,7 +681,7 @@ def _compare(
                 shared.claims[side.name, at] = side.uncertainty(scene, settings, analysis)
             claims.append(shared.claims[side.name, at])
     encodings = (encoding_of(first, a), encoding_of(second, b))
-    judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings)
+    judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings, shared.flip)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
     for side, encoding in zip((first, second), encodings, strict=True):
         note = Note("", side.name, "an image is compared as the settings say: `whitted check` finds how it was made")
@@ -708,7 +711,7 @@ def _compare(
         result.verdicts.append(judged)
     if on_rendered:
         on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None, analysis))
-    result.comparisons += [replace(comparison, maps=None) for comparison in found]
+    result.comparisons += [without_maps(comparison) for comparison in found]
 
 
 def _draw(result: Validation, label: str, scene: Scene, side: Renderer, wanted: Sequence[str]) -> Passes | None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from validation.commands.errors import DIFFERENT, CommandError, errors
 from validation.commands.help import Command
-from validation.commands.inputs import IMAGES, PASS_FILES, refuse_pass
+from validation.commands.inputs import IMAGES, PASS_FILES, check_flip, refuse_pass
 from validation.commands.outputs import writable, write_text
 from validation.options import json_option, names_option, positive
 from validation.terminal import print_comparisons
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     metavar="T",
     help="Largest difference that counts as equal.",
 )
+@click.option("--flip", is_flag=True, help="Measure FLIP of beauty for --json: pip install 'whitted[flip]'.")
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing: the exit status says it.")
 @click.pass_context
@@ -52,6 +53,7 @@ def compare(
     b: Path,
     passes: tuple[str, ...] | None,
     tolerance: float,
+    flip: bool,
     json_file: Path | None,
     quiet: bool,
 ) -> None:
@@ -63,6 +65,7 @@ def compare(
     from validation.compare import compare_plain
 
     with errors():
+        check_flip(wanted=flip)
         if json_file:
             writable(json_file)
         first, second = _read(a), _read(b)
@@ -86,8 +89,8 @@ def compare(
         chosen = [name for name in both if not passes or any(fnmatchcase(name, wanted) for wanted in passes)]
         if not chosen:
             raise CommandError(f"{a} and {b} have none of {', '.join(passes or ())} in common", f"{', '.join(both)}")
-        labels = {"renderer": str(a), "reference": str(b)}
-        found = [compare_plain(first, second, name, tolerance, visual=not images[0], **labels) for name in chosen]
+        labels: dict[str, Any] = {"renderer": str(a), "reference": str(b), "visual": not images[0], "flip": flip}
+        found = [compare_plain(first, second, name, tolerance, **labels) for name in chosen]
         equal = all(comparison.ok for comparison in found)
         if quiet:
             pass

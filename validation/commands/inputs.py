@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -40,6 +41,12 @@ def check_size(size: tuple[int, int] | None, *, no_limits: bool) -> None:
     if size and not no_limits and max(size) > LONGEST_SIDE:
         message = f"--size {size[0]}x{size[1]}: at most {LONGEST_SIDE} columns and rows"
         raise CommandError(message, "--no-limits allows more")
+
+
+def check_flip(*, wanted: bool) -> None:
+    """Whether FLIP can be measured here."""
+    if wanted and not importlib.util.find_spec("flip_evaluator"):
+        raise CommandError("--flip needs flip-evaluator, which is not installed", "pip install 'whitted[flip]'")
 
 
 def check_pairs(tested: Sequence[str], references: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ from click.core import ParameterSource
 
 from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
-from validation.commands.inputs import check_pairs, check_pass_names, check_size, settings_of
+from validation.commands.inputs import check_flip, check_pairs, check_pass_names, check_size, settings_of
 from validation.commands.outputs import command_line, progressing, summing
 from validation.commands.results import Outputs, Results
 from validation.options import Size, loudness_options, names_option, results_options, settings_options, verbose
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     help="Compare every pair, of the renderers named or of all that can run here: who stands alone?",
 )
 @names_option("--passes", help="Passes to compare, for example beauty,shadow.L*; default: all.")
+@click.option("--flip", is_flag=True, help="Measure FLIP of beauty, and show it: pip install 'whitted[flip]'.")
 @click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
 @results_options("each scene and pair")
@@ -57,6 +58,7 @@ def validate(
     against: tuple[str, ...],
     all_pairs: bool,
     passes: tuple[str, ...] | None,
+    flip: bool,
     size: tuple[int, int] | None,
     verdicts: int,
     **options: Any,
@@ -68,6 +70,7 @@ def validate(
 
     command, outputs = command_line(), Outputs.of(options)
     with errors():
+        check_flip(wanted=flip)
         check_pass_names(passes or ())
         if all_pairs:
             given = ctx.get_parameter_source
@@ -105,6 +108,7 @@ def validate(
                 progress=progress,
                 all_pairs=all_pairs,
                 on_scene=results.scene,
+                flip=flip,
             )
         result.command = command
         tell(result)

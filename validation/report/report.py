@@ -7,7 +7,7 @@ import importlib.metadata
 import math
 import re
 import shlex
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from tracer.passes import TABLE, lookup, write_beside
 from validation import pairs
+from validation.compare import without_maps
 from validation.report import pictures
 from validation.report.data import VIEWER, Data, modules
 from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
@@ -64,6 +65,7 @@ class PassView:
     shared: bool = False
     identical: bool = False
     heat: Shown | None = None
+    flip: Shown | None = None
     heatmap: pictures.Heatmap | None = None
     edges: str = ""
     zoom: int = 1
@@ -203,7 +205,7 @@ class Report:
 
     def _view(self, scene: SceneView, comparison: Comparison, a: Passes, b: Passes) -> PassView:
         anchor, maps = f"{scene.anchor}-{comparison.pass_name}", comparison.maps
-        view = PassView(anchor, replace(comparison, maps=None), zoom=scene.zoom)
+        view = PassView(anchor, without_maps(comparison), zoom=scene.zoom)
         if maps is None:
             return view
         if worst := comparison.worst:
@@ -229,6 +231,8 @@ class Report:
         view.b = None if view.shared else self._store(drawn[1])
         if name == "beauty":
             scene.thumbnail = view.a
+        if comparison.flip and comparison.flip.max > 0:
+            view.flip = self._store(pictures.flip(comparison.flip.map))
         if view.heatmap:
             view.heat = self._store(view.heatmap.picture)
             if path := pictures.outline(maps.edge & maps.compared):
