@@ -87,6 +87,12 @@ class Comparison:
         """Whether the two agree."""
         return not self.reasons
 
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        from validation.notebook import comparison_html
+
+        return comparison_html(self)
+
     def record(self) -> Record:
         """The comparison as strictly valid JSON: numbers that JSON has no token for are strings."""
         entry: Record = {

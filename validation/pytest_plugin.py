@@ -185,7 +185,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if asked and not pages:  # those of the workers of pytest-xdist
         pages = sorted(Path(config.invocation_params.dir, asked).glob("gw*/index.html"))
     for page in pages:
-        terminalreporter.write_sep("-", f"whitted report: {page}")
+        terminalreporter.write_line(f"whitted report: {page}")
 
 
 def message(result: Validation, scenes: object) -> str:
