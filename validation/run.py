@@ -496,8 +496,10 @@ def validate(
         shared = _Shared(flip)
         for number, (one, other) in enumerate(chosen, place * len(chosen)):
             if progress:
-                count = f"scene {place + 1} of {len(at_sizes)}: " * (len(at_sizes) > 1)
-                progress(f"{count}{label}: {one.name} against {other.name}{left.says(number)}")
+                # First what must not be cut off.
+                count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
+                where = f"{count}{left.says(number)}".removeprefix(", ")
+                progress(f"{where}{': ' * bool(where)}{label}: {one.name} against {other.name}")
             try:
                 _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
             except _PairError as error:

@@ -97,9 +97,15 @@ def progressing() -> Iterator[Callable[[str], None]]:
     else:
         from rich import markup
 
-        with console(stderr=True).status("") as status:
-            # What is in brackets is no markup: a command may have some.
-            yield lambda text: status.update(markup.escape(text))
+        terminal = console(stderr=True)
+        with terminal.status("") as status:
+
+            def show(text: str) -> None:
+                room = terminal.width - 3  # beside what turns
+                line = text if len(text) <= room else f"{text[: room - 1]}…"
+                status.update(markup.escape(line))  # what is in brackets is no markup: a command may have some
+
+            yield show
 
 
 @contextmanager
