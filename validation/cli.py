@@ -31,7 +31,7 @@ from validation.commands.explain import explain
 from validation.commands.help import ALWAYS, write_examples, write_statuses
 from validation.commands.render import render
 from validation.commands.renderers import list_renderers
-from validation.commands.signals import ending, terminated
+from validation.commands.signals import ended, ending
 from validation.commands.speed import speed
 from validation.commands.stability import stability
 from validation.commands.truth import truth
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         status = WRONG
         complain(*sentence(error))
     except (click.Abort, KeyboardInterrupt) as error:
-        status = TERMINATED if terminated.is_set() else INTERRUPTED
+        status = ended()
         cause = error.__cause__ or error  # click makes an Abort of it
         kept = cause.kept if isinstance(cause, StoppedError) else ""
         if kept or status == INTERRUPTED:

@@ -140,6 +140,8 @@ class Validation(Outcome):
     #: The scenes that were asked for, and those of them that are not done yet: of what ended early.
     scenes: tuple[str, ...] = ()
     unfinished: tuple[str, ...] = ()
+    #: What these are: scenes, or programs that drew them all.
+    parts: str = "scene"
 
     @property
     def ok(self) -> bool:
@@ -335,7 +337,7 @@ def _near(path: Path) -> Path | None:
     except OSError:
         return None
     # Without the ending, which all have in common.
-    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1)
+    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1, cutoff=0.75)
     return path.parent / names[near[0]] if near else None
 
 

@@ -108,6 +108,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         sum(not verdict.explained for verdict in verdicts.verdicts) + len(verdicts.unproved)
         for verdicts in result.verdicts
     )
+    missing = len(result.unfinished)
     # Of a sample that has some, there may be more.
     least = "at least " * any(len(v.verdicts) + len(v.unproved) < v.differ for v in result.verdicts)
     agree = sum(comparison.ok for comparison in result.comparisons)
@@ -118,7 +119,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         total
         + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
         + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
-        + (f", {len(result.unfinished)} of {len(result.scenes)} scenes are missing" if result.unfinished else "")
+        + (f", {missing} of {len(result.scenes)} {result.parts}s are missing" if missing else "")
     )
 
 

@@ -216,7 +216,7 @@ def test_interrupted_it_ends_with_130_and_no_traceback(endless: Path, tmp_path: 
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.strip() == "interrupted: no scene was finished, nothing was written"
+    assert err.strip() == "interrupted: nothing was finished, nothing was written"
     assert not (tmp_path / "r.json").exists()
 
 

@@ -78,7 +78,7 @@ def test_interrupted_in_the_first_scene_nothing_is_written(
     sides = ("--renderer", "double", "--against", "native-f64", "--size", "16x12")
     ended = run("validate", *three, *sides, "--json", tmp_path / "r.json")
     assert (ended.status, ended.out) == (130, "")
-    assert ended.err == "\ninterrupted: no scene was finished, nothing was written\n"
+    assert ended.err == "\ninterrupted: nothing was finished, nothing was written\n"
     assert not (tmp_path / "r.json").exists()
     assert run("validate", *three, *sides).err == "\ninterrupted\n"
 

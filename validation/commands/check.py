@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from validation.commands.errors import CommandError, StoppedError, errors
+from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_size, settings_of
 from validation.commands.outputs import command_line, progressing, summing
@@ -126,12 +127,27 @@ def check(
             loaded = {label: resized(scene, size) for label, scene in loaded.items()}
         settings = settings_of(options | {"sample": "corner"})
         files = Results(ctx, command, outputs)
-        with progressing() as progress:
+        results: dict[str, Checked] = {}
+
+        def tell(_: Validation) -> None:
+            with summing():
+                if len(results) > 1:
+                    print_checks(results)
+                else:
+                    print_check(*results.values())
+
+        def so_far(checked: Checked) -> None:
+            results[name] = checked
+            files.scene(checked.validation, checked.record)
+
+        with files.keeping(tell), progressing() as progress:
             common: dict[str, Any] = {
                 "settings": settings,
                 "verdicts": None if ctx.get_parameter_source("verdicts") is ParameterSource.DEFAULT else verdicts,
                 "on_rendered": files.page.add if files.page else None,
                 "progress": progress,
+                # Of several programs each is a part.
+                "on_scene": so_far if len(templates) < 2 else None,
             }
             if images:
                 pictures = [
@@ -139,41 +155,39 @@ def check(
                     for path, (label, scene) in zip(images, loaded.items(), strict=True)
                 ]
                 name = f"image:{images[0].name}" if len(images) == 1 else "image"
-                results = {name: check(pictures, name=name, **common)}
-            else:
-                limits, results = Limits(seconds=time_limit, memory=memory * MEBIBYTE), {}
-                try:
-                    for template in templates:
-                        drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
-                        name = f"{PREFIX}{template}"
-                        results[name] = check(drawn, name=name, failures=failures, **common)
-                except KeyboardInterrupt:
-                    # What is finished is told.
-                    if not results:
-                        raise StoppedError(files.nothing("program")) from None
-                    with summing():
-                        print_checks(results)
-                    result, record = _together(results, command)
-                    result.scenes = tuple(templates)
-                    result.unfinished = result.scenes[len(results) :]
-                    record |= {"ok": False, "unfinished": list(result.unfinished)}
-                    raise StoppedError(files.keep(result, "programs", record)) from None
+                results[name] = check(pictures, name=name, **common)
+            limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
+            for place, template in enumerate(templates):
+                drawn, failures = draw_pictures(loaded, template, settings, limits=limits, progress=progress)
+                name = f"{PREFIX}{template}"
+                results[name] = check(drawn, name=name, failures=failures, **common)
+                if len(templates) > 1:
+                    result, record = _together(results, command, templates[place + 1 :])
+                    files.scene(result, functools.partial(dict, record))
         result, record = _together(results, command)
-        with summing():
-            if len(results) > 1:
-                print_checks(results)
-            else:
-                print_check(*results.values())
+        tell(result)
         files.finish(result, record)
     ctx.exit(max(entry.status for entry in results.values()))
 
 
-def _together(results: Mapping[str, Checked], command: Sequence[str]) -> tuple[Validation, dict[str, Any]]:
-    """What came out of all programs: for the report, and for the result file."""
+def _together(
+    results: Mapping[str, Checked], command: Sequence[str], unfinished: Sequence[str] = ()
+) -> tuple[Validation, dict[str, Any]]:
+    """What came out of all programs: for the report, and for the result file; `unfinished`: those to come."""
     from validation.check import together
 
     (first, *others) = results.values()
-    result = together(results) if others else first.validation
-    result.command = command
+    if not others and not unfinished:
+        first.validation.command = command
+        return first.validation, first.record()
+    result = together(results)
+    result.command, result.parts = command, "program"
+    result.unfinished = tuple(unfinished)
+    result.scenes = (*results, *unfinished)
     programs = [{"program": name, **entry.record()} for name, entry in results.items()]
-    return result, {"ok": result.ok, "command": [*command], "programs": programs} if others else first.record()
+    return result, {
+        "ok": result.ok,
+        "command": [*command],
+        "programs": programs,
+        "unfinished": [*unfinished],
+    }

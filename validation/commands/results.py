@@ -55,14 +55,18 @@ class Results:
         self._command, self._outputs = command, outputs
         self.page = page_in(ctx, outputs.report, small=outputs.small) if outputs.report else None
         self.kept: Validation | None = None
+        self._record: Callable[[], Mapping[str, Any]] | None = None
         self._written, self._took = -float("inf"), 0.0
 
-    def scene(self, result: Validation) -> None:
-        """One more scene is finished."""
+    def scene(self, result: Validation, record: Callable[[], Mapping[str, Any]] | None = None) -> None:
+        """One more scene is finished; `record`: makes what the JSON has, where that is not the record of the result."""
         result.command = self._command
-        self.kept = result.snapshot()
+        self.kept, self._record = result.snapshot(), record
         if self.kept.unfinished and time.monotonic() - self._written >= self._took / SHARE:
-            self.write(self.kept)
+            self._write_kept(self.kept)
+
+    def _write_kept(self, kept: Validation) -> list[Path]:
+        return self.write(kept, self._record() if self._record and self._outputs.json_file else None)
 
     def write(self, result: Validation, record: Mapping[str, Any] | None = None) -> list[Path]:
         """Write all files, and return their paths; `record`: what the JSON has, None: that of the result."""
@@ -101,19 +105,15 @@ class Results:
             yield
         except KeyboardInterrupt as error:
             if self.kept is None:
-                raise StoppedError(self.nothing("scene")) from error
+                asked = self._outputs.files or self.page
+                raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
             tell(self.kept)
-            raise StoppedError(self.keep(self.kept, "scenes")) from error
+            raise StoppedError(self._keep(self.kept)) from error
 
-    def keep(self, result: Validation, what: str, record: Mapping[str, Any] | None = None) -> str:
-        """Write what is finished, and return what to say about it; `what`: the parts of which some are not."""
-        paths, every = self.write(result, record), len(result.scenes)
-        done = f"{every - len(result.unfinished)} of {every} {what}"
+    def _keep(self, kept: Validation) -> str:
+        """Write what is finished, and return what to say about it."""
+        paths, every = self._write_kept(kept), len(kept.scenes)
+        done = f"{every - len(kept.unfinished)} of {every} {kept.parts}s"
         *some, last = map(str, paths) if paths else ("",)
         files = f"{', '.join(some)} and {last}" if some else last
         return f"kept {files} with {done}" if paths else f"{done} were finished"
-
-    def nothing(self, what: str) -> str:
-        """What to say where nothing is finished."""
-        asked = self._outputs.files or self.page
-        return f"no {what} was finished, nothing was written" if asked else ""

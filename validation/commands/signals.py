@@ -7,8 +7,15 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from validation.commands.errors import INTERRUPTED, TERMINATED
+
 #: Set by SIGTERM, where it ends the program as Ctrl-C does.
 terminated = threading.Event()
+
+
+def ended() -> int:
+    """The exit status of what was ended early."""
+    return TERMINATED if terminated.is_set() else INTERRUPTED
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from validation.commands.errors import INTERRUPTED, TERMINATED, CommandError, errors
+from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
 from validation.commands.outputs import (
@@ -25,7 +25,7 @@ from validation.commands.outputs import (
     writable,
     write_text,
 )
-from validation.commands.signals import terminated
+from validation.commands.signals import ended
 from validation.options import Whole, json_option, loudness_options, names_option, open_option
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def stability(
     if open_report and report and not result.interrupted:
         open_page(report / "index.html")
     if result.interrupted:
-        ctx.exit(TERMINATED if terminated.is_set() else INTERRUPTED)
+        ctx.exit(ended())
     ctx.exit(result.status)
 
 

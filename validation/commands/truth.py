@@ -14,6 +14,7 @@ from validation.commands.errors import AT, FAILED, CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_pixels, check_size, settings_of
 from validation.commands.outputs import command_line, progressing, summing, writable, write_text
+from validation.commands.signals import ended
 from validation.options import Count, Place, Size, Whole, json_option, loudness_options, names_option, settings_options
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def truth(
         if output:
             click.echo(output)
         if renderer:
-            result.command, status = command, result.status
+            result.command, status = command, ended() if result.interrupted else result.status
             with summing():
                 print_certification(result)
             if json_file:

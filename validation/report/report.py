@@ -270,7 +270,9 @@ class Report:
             (comparison.scene, comparison.renderer, comparison.reference) for comparison in result.comparisons
         }
         self._finished = [
-            scene for scene in self._scenes if (scene.label, scene.renderer, scene.reference) in pairs_done
+            scene
+            for scene in self._scenes
+            if not result.unfinished or (scene.label, scene.renderer, scene.reference) in pairs_done
         ]
         record, blocks = self._data.page(
             {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
@@ -371,7 +373,7 @@ def _order(name: str) -> tuple[int, int]:
 def headline(result: Validation) -> str:
     """What came out, in one line; that something failed, or is wrong besides, comes first."""
     wrong = f"Wrong: {'; '.join(result.wrong)}" if result.wrong else ""
-    done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), 'scene')}"
+    done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), result.parts)}"
     unfinished = f"Unfinished: {done}" if result.unfinished else ""
     return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, compared(result))))
 
