@@ -101,6 +101,11 @@ class Size(click.ParamType[tuple[int, int]]):
 
     name = "WxH"
 
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Not in capitals, as the x is part of it."""
+        del param, ctx
+        return self.name
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Two positive integers."""
         if isinstance(value, tuple):
