@@ -19,6 +19,7 @@ from doubles import Double, with_arrays
 from jsonschema import Draft202012Validator, ValidationError
 
 SCHEMA = json.loads(resources.files("validation").joinpath("results.schema.json").read_text(encoding="utf-8"))
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "results.md").read_text(encoding="utf-8")
 
 
@@ -114,6 +115,29 @@ def test_check_and_compare_keep_to_it(run: Any, scene: Path, tmp_path: Path, mon
         STRICT.validate(strict(Path(f"{name}.json").read_text()))
     with pytest.raises(ValidationError):
         STRICT.validate(strict(Path("check.json").read_text()) | {"left": None})
+
+
+def test_truth_keeps_to_it(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
+    file = tmp_path / "truth.json"
+    tie = SCENES / "spec" / "equal-hits.txt"
+    assert run("truth", scene, tie, "--pixels", 20, "--json", file).status == 0
+    STRICT.validate(strict(file.read_text()))
+    assert run("truth", tie, "--at", 72, 200, "--json", file).status == 0
+    proved = strict(file.read_text())
+    STRICT.validate(proved)
+    assert proved["scenes"][0]["pixels"][0]["ties"]
+    registered(Double(draw=with_arrays(holes)))
+    words = ("--pixels", "all", "--edges", 5, "--size", "16x12", "--json", file)
+    run("truth", scene, "--renderer", "native-f32", *words)
+    STRICT.validate(strict(file.read_text()))
+    registered(Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)), missing=("normal",)))
+    assert run("truth", scene, "--renderer", "double", *words).status == 1
+    wrong = strict(file.read_text())
+    STRICT.validate(wrong)
+    assert wrong["certificates"][0]["misses"]
+    wrong["certificates"][0]["misses"][0].pop("claim")
+    with pytest.raises(ValidationError):
+        STRICT.validate(wrong)
 
 
 def test_the_document_explains_every_field() -> None:
