@@ -369,8 +369,16 @@ def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int
     """What to type to have a pixel of the scene, as it was drawn, explained; `names`: of renderers, or of images."""
     where = "-" if label == "<stdin>" else label
     known = [name for name in names if name.partition(":")[0] != "image"]
-    words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(known)]
+    words = ["whitted", "explain", where, str(x), str(y), *renderer_words(known)]
     return f"{shlex.join(words)} {explain_options(label, scene, settings)}".rstrip()
+
+
+def renderer_words(names: Iterable[str]) -> list[str]:
+    """Options that name these renderers: one for all, but of commands one each, as a comma may belong to a command."""
+    unique = list(dict.fromkeys(names))
+    plain = [name for name in unique if not name.startswith("cmd:")]
+    lists = [",".join(plain)] * bool(plain) + [name for name in unique if name.startswith("cmd:")]
+    return [word for one in lists for word in ("--renderer", one)]
 
 
 def explain_options(label: str, scene: Scene, settings: Settings) -> str:

@@ -337,10 +337,10 @@ def test_the_report_in_plain_words_is_one_click_away_and_back(page: Any) -> None
     page.keyboard.press("h")
     settled(page, mode="heat")
     page.locator("#v-report").click()
-    assert page.locator("#report h1").is_visible()
+    page.locator("#report h1").wait_for(state="visible")
     assert not page.locator("#viewer").is_visible()
     page.locator("#report .kicker a").click()
-    assert page.locator("#viewer").is_visible()
+    page.locator("#viewer").wait_for(state="visible")
     settled(page, mode="heat")
 
 

@@ -265,10 +265,13 @@ function quoted(word) {
  */
 export function command(state, pixel) {
   const { scene } = state;
-  const names = [state.a, state.b].map((place) => scene.renderers[place].name).filter((name) => !/^image(:|$)/.test(name));
+  const names = [state.a, state.b].map((place) => scene.renderers[place].name).filter((name, place, all) => !/^image(:|$)/.test(name) && all.indexOf(name) === place);
   const where = scene.label === "<stdin>" ? "-" : scene.label;
   const words = ["whitted", "explain", quoted(where), String(pixel[0]), String(pixel[1])];
-  if (names.length) words.push("--renderer", quoted([...new Set(names)].join(",")));
+  // Of commands one option each, as a comma may belong to a command.
+  const commands = names.filter((name) => name.startsWith("cmd:"));
+  const plain = names.filter((name) => !name.startsWith("cmd:"));
+  for (const list of new Set([plain.join(","), ...commands])) if (list) words.push("--renderer", quoted(list));
   return [...words, scene.options].filter(Boolean).join(" ");
 }
 
