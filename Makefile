@@ -77,6 +77,8 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@if command -v tsc >/dev/null; then echo tsc -p validation/report/viewer; tsc -p validation/report/viewer; \
+	else echo "the viewer's types are not checked: apt-get install node-typescript"; fi
 	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
 	PATH="$(abspath $(BIN)):$$PATH" cmake -S . -B build/lint -G Ninja -DWHITTED_WERROR=ON -DWHITTED_PYTHON=ON \
 		-DPython_EXECUTABLE="$(abspath $(BIN))/python" -Dnanobind_DIR="$$($(BIN)/python -m nanobind --cmake_dir)" >/dev/null

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
+import shutil
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,6 +52,20 @@ def keys() -> Path:
     folder = Path(os.environ.get("WHITTED_KEYS", ROOT.parent / "shared" / "keys"))
     need(folder.is_dir(), f"the keys are not at {folder}: set WHITTED_KEYS to the folder that has them")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium, from WHITTED_CHROMIUM or where distributions put it."""
+    found = os.environ.get("WHITTED_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    need(found and Path(found).exists(), "no Chromium: apt-get install chromium, or set WHITTED_CHROMIUM")
+    need(importlib.util.find_spec("playwright"), "no Playwright: pip install playwright")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture(scope="session")

@@ -178,6 +178,12 @@ class Passes(Mapping[str, NDArray[Any]]):
         rows, columns = self.shape
         return f"Passes({columns}x{rows}: {', '.join(self)})"
 
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        from tracer.notebook import passes_html
+
+        return passes_html(self)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write `.exr` (float32), `.npz` (lossless), or the 8-bit beauty as `.png` or `.ppm`; by the ending.
 

@@ -47,6 +47,7 @@ from validation.terminal import (
     print_notes,
     room_for_names,
 )
+from validation.timing import TimeLeft
 from validation.truth import BITS, UnprovedError
 
 if TYPE_CHECKING:
@@ -123,10 +124,11 @@ def prove_scene(
     lit = [np.zeros(len(every), bool) for _ in scene.lights]
     unsettled = np.zeros(len(every), bool)
     had = np.ones(len(every), bool)
+    left = TimeLeft(len(every))
     with closing(proved_or_not(scene, every, settings, jobs=jobs)) as found:
         for place, truth in enumerate(found):
             if progress and place % 100 == 0:
-                progress(f"{place} of {len(every)} pixels proved")
+                progress(f"{place} of {len(every)} pixels proved{left.says(place)}")
             if truth is None:
                 had[place] = False
                 continue
@@ -490,6 +492,8 @@ class Certification(Outcome):
     edges: int
     seed: int
     certificates: list[Certificate] = field(default_factory=list)
+    #: Whether Ctrl-C ended it: then some certificates are missing.
+    interrupted: bool = False
 
     @property
     def status(self) -> int:
@@ -504,7 +508,8 @@ class Certification(Outcome):
         """Everything as strictly valid JSON."""
         strict: Record = json_value(
             {
-                "ok": self.status == 0,
+                "ok": self.status == 0 and not self.interrupted,
+                "interrupted": self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
@@ -530,7 +535,7 @@ def certify_scenes(
     jobs: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Certification:
-    """Certify every renderer on every scene; what is proved once serves all of them.
+    """Certify every renderer on every scene; what is proved once serves all of them. Ctrl-C ends it with what there is.
 
     Raises:
         renderers.UnknownRendererError: no renderer has that name.
@@ -540,9 +545,27 @@ def certify_scenes(
     programs = list(dict.fromkeys(programs))
     result = Certification(settings=settings, pixels=pixels, edges=edges, seed=seed, versions=versions(programs))
     usable = result.usable(programs)
-    for label, scene in scenes.items():
+    try:
+        _certify_each(result, scenes, usable, jobs, progress)
+    except KeyboardInterrupt:
+        if not result.certificates:
+            raise
+        result.interrupted = True
+    return result
+
+
+def _certify_each(
+    result: Certification,
+    scenes: Mapping[str, Scene],
+    usable: Sequence[Renderer],
+    jobs: int | None,
+    progress: Callable[[str], None] | None,
+) -> None:
+    settings, counts = result.settings, {"pixels": result.pixels, "edges": result.edges, "seed": result.seed}
+    for place, (label, scene) in enumerate(scenes.items()):
         proofs: dict[tuple[int, int], Proof] = {}
-        say = functools.partial(_say, progress, label)
+        count = f"scene {place + 1} of {len(scenes)}: " * (len(scenes) > 1)
+        say = functools.partial(_say, progress, f"{count}{label}")
         for program in usable:
             try:
                 with result.trying(label, program):
@@ -553,16 +576,14 @@ def certify_scenes(
                     size = at_size.view.columns, at_size.view.rows
                     if size not in proofs:
                         say("finding the pixels of the smallest margins")
-                        counts = {"pixels": pixels, "edges": edges, "seed": seed}
                         proofs[size] = prove_scene(at_size, settings, **counts, jobs=jobs, progress=say)
                     say(program.name)
                     result.certificates.append(
-                        certify(at_size, program, settings, seed=seed, proof=proofs[size], label=label)
+                        certify(at_size, program, settings, seed=result.seed, proof=proofs[size], label=label)
                     )
             except UnprovedError as error:
                 result.fail(Note(label, "", str(error)))
                 break  # nor for the other renderers
-    return result
 
 
 def _say(progress: Callable[[str], None] | None, label: str, what: str) -> None:
@@ -647,7 +668,8 @@ def print_certification(result: Certification) -> None:
     print_failures(result)
     good, every, many = sum(entry.ok for entry in result.certificates), len(result.certificates), len(result.failures)
     total = f"{good} of {every} certificates hold" if every else "nothing was certified"
-    click.echo(total + (f", {many} failure{'s'[: many > 1]}" if many else ""))
+    end = "interrupted: " if result.interrupted else ""
+    click.echo(end + total + (f", {many} failure{'s'[: many > 1]}" if many else ""))
 
 
 def _left_out(entry: Certificate) -> Iterator[str]:

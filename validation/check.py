@@ -615,6 +615,7 @@ def check(
     verdicts: int | None = None,
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
+    on_scene: Callable[[Checked], None] | None = None,
 ) -> Checked:
     """Fit the convention of images that one program made, and compare and judge what it leaves.
 
@@ -627,6 +628,7 @@ def check(
             come to the same mistake, or to none that is known, or as many as there is time for.
         on_rendered: called with every image that was compared.
         progress: called with what is being done.
+        on_scene: called after every image with what was found so far.
 
     Raises:
         InputError: an image that is too large.
@@ -663,6 +665,24 @@ def check(
         if on_rendered:
             on_rendered(entry)
 
+    def checked(result: Validation) -> Checked:
+        result.failures[:0] = failures
+        # What a comparison says to who may not know of this one.
+        result.notes = [note for note in result.notes if "`whitted check`" not in note.message]
+        result.notes += [Note(picture.label, name, picture.told) for picture in pictures if picture.ending]
+        endings = [picture.ending for picture in pictures if picture.ending]
+        ending = endings[0] if endings else ""
+        if ending and len(pictures) > 1:
+            ending += f" in {len(endings)} of {len(pictures)} scenes"
+        result.wrong = tuple(filter(None, (found.convention.fault, ending)))
+        made = Checked(found, [*left], result, pictures[0].steps, ending)
+        result.about = made.about()
+        return made
+
+    def so_far(result: Validation) -> None:
+        if on_scene:
+            on_scene(checked(result.snapshot()))
+
     result = validate(
         {picture.label: picture.scene for picture in pictures},
         [still],
@@ -674,19 +694,9 @@ def check(
         first=FIRST_ALIKE if verdicts is None else 0,
         on_rendered=rendered,
         progress=judging,
+        on_scene=so_far,
     )
-    result.failures[:0] = failures
-    # What a comparison says to who may not know of this one.
-    result.notes = [note for note in result.notes if "`whitted check`" not in note.message]
-    result.notes += [Note(picture.label, name, picture.told) for picture in pictures if picture.ending]
-    endings = [picture.ending for picture in pictures if picture.ending]
-    ending = endings[0] if endings else ""
-    if ending and len(pictures) > 1:
-        ending += f" in {len(endings)} of {len(pictures)} scenes"
-    result.wrong = tuple(filter(None, (found.convention.fault, ending)))
-    checked = Checked(found, left, result, pictures[0].steps, ending)
-    result.about = checked.about()
-    return checked
+    return checked(result)
 
 
 def together(results: Mapping[str, Checked]) -> Validation:

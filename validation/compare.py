@@ -44,6 +44,8 @@ class Maps:
     compared: Mask
     edge: Mask
     over: Mask
+    #: By kind of margin the pixels that are edges for it; an edge of no kind has no tolerance.
+    kinds: Mapping[str, Mask] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Comparison:
     levels: metrics.Levels | None = None
     psnr: float | None = None
     ciede2000: metrics.ColorDifference | None = None
+    flip: metrics.Flip | None = None
     reasons: tuple[str, ...] = ()
     maps: Maps | None = field(default=None, repr=False, compare=False)
 
@@ -83,6 +86,12 @@ class Comparison:
     def ok(self) -> bool:
         """Whether the two agree."""
         return not self.reasons
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        from validation.notebook import comparison_html
+
+        return comparison_html(self)
 
     def record(self) -> Record:
         """The comparison as strictly valid JSON: numbers that JSON has no token for are strings."""
@@ -109,10 +118,18 @@ class Comparison:
             entry["levels"] = vars(self.levels).copy()
             entry["psnr"] = self.psnr
             entry["ciede2000"] = vars(self.ciede2000).copy()
+        if self.flip is not None:
+            entry["flip"] = {"max": self.flip.max, "mean": self.flip.mean}
         if self.reasons:
             entry["reason"] = "; ".join(self.reasons)
         strict: Record = json_value(entry)
         return strict
+
+
+def without_maps(comparison: Comparison) -> Comparison:
+    """The numbers alone: pictures of many scenes take much memory."""
+    flip = comparison.flip and replace(comparison.flip, map=np.zeros((0, 0)))
+    return replace(comparison, maps=None, flip=flip)
 
 
 def json_value(value: Any) -> Any:
@@ -141,16 +158,24 @@ class Judge:
     reference: Uncertainty
     #: How the levels of either one's `beauty` stand for colours; None: it holds colours.
     encodings: Encodings = (None, None)
+    #: Whether FLIP of `beauty` is measured.
+    flip: bool = False
 
     def edge(self, name: str) -> Mask:
         """Pixels of a pass with a decision that one of the two renderers may take either way, or without a bound."""
-        shape = self.analysis.ids.shape
-        edge = np.zeros(shape, dtype=bool)
+        edge = ~np.isfinite(self.tolerance(name))
+        for mask in self.edges(name).values():
+            edge |= mask
+        return edge
+
+    def edges(self, name: str) -> dict[str, Mask]:
+        """By kind of margin the pixels of a pass with a decision that one of the two may take either way."""
+        found: dict[str, Mask] = {}
         for kind, margin in self.analysis.behind(name).items():
             limit = np.maximum(getattr(self.renderer, kind), getattr(self.reference, kind))
             # Written so that a margin that is NaN makes an edge.
-            edge |= ~(margin >= limit)
-        return edge | ~np.isfinite(self.tolerance(name))
+            found[kind] = np.asarray(~(margin >= limit))
+        return found
 
     def tolerance(self, name: str) -> metrics.Array:
         """How far the two values of an interior pixel may lie apart: the sum of what either may be off by.
@@ -228,17 +253,18 @@ def compare_passes(
                 f"too many edge pixels: {count} of {edge.size}, more than the {cap} that the lengths of the outlines "
                 "explain; one of the two renderers decides too little of this scene"
             )
-        maps = Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared)
+        maps = Maps(np.zeros(edge.shape), tolerance, compared, edge, ~compared, judge.edges(name))
         encodings = judge.encodings if name == "beauty" else (None, None)
-        yield _measure(blank, a[name], b[name], row, maps, reasons, encodings=encodings)
+        yield _measure(blank, a[name], b[name], row, maps, reasons, encodings=encodings, flip=judge.flip)
 
 
 def compare_plain(
-    a: Passes, b: Passes, name: str, tolerance: float, *, visual: bool = True, **labels: str
+    a: Passes, b: Passes, name: str, tolerance: float, *, visual: bool = True, flip: bool = False, **labels: str
 ) -> Comparison:
     """Compare one pass without a scene: every pixel counts, equal means within `tolerance`, 0 the same values.
 
-    `visual`: whether `beauty` holds linear colours, so that levels, PSNR and CIEDE2000 mean something.
+    `visual`: whether `beauty` holds linear colours, so that levels, PSNR and CIEDE2000 mean something; `flip`: whether
+    FLIP is measured.
     """
     rows, columns = a.shape
     labels = {"scene": "", "renderer": "a", "reference": "b"} | labels
@@ -254,7 +280,7 @@ def compare_plain(
         reasons += _not_a_number(label, side[name])
     every = np.ones((rows, columns), dtype=bool)
     maps = Maps(np.zeros(every.shape), np.full(every.shape, tolerance), every, ~every, ~every)
-    return _measure(blank, a[name], b[name], lookup(name), maps, reasons, visual=visual)
+    return _measure(blank, a[name], b[name], lookup(name), maps, reasons, visual=visual, flip=flip)
 
 
 def _fits(side: Passes, name: str, shape: tuple[int, int]) -> bool:
@@ -316,6 +342,7 @@ def _measure(
     *,
     visual: bool = True,
     encodings: Encodings = (None, None),
+    flip: bool = False,
 ) -> Comparison:
     planes = [np.asarray(array if array.ndim == 3 else array[..., None], dtype=np.float64) for array in (a, b)]
     differences = (
@@ -366,7 +393,7 @@ def _measure(
         "tolerance": float(tolerance[nearest]) if interior.any() else None,
         "ratio": float(ratios[nearest]) if interior.any() else None,
         "worst": worst,
-        "maps": Maps(error, tolerance, compared, maps.edge, compared & over),
+        "maps": Maps(error, tolerance, compared, maps.edge, compared & over, maps.kinds),
     }
     if row.name == "beauty" and visual:
         if any(encodings):
@@ -375,4 +402,6 @@ def _measure(
         changes["levels"] = metrics.levels(a, b)
         changes["psnr"] = metrics.psnr(*planes)
         changes["ciede2000"] = metrics.ciede2000(a, b)
+        if flip:
+            changes["flip"] = metrics.flip(a, b)
     return replace(blank, reasons=tuple(reasons), **changes)

@@ -36,6 +36,7 @@ from validation.random_scenes import Drawn, draw_scene
 from validation.renderers import Renderer, Settings
 from validation.run import InputError, Note, Outcome, Rendered, RendererError, explain_command, validate, versions
 from validation.terminal import TOO_MANY, colorful, console, print_failures
+from validation.timing import TimeLeft, duration
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -595,14 +596,12 @@ def fuzz(
     result.tested = tuple(entry.name for entry in usable)
     sent = tuple(asked[entry] for entry in usable)
     order = _Order(seed, sent, reference, settings, smaller_seconds)
-    start = time.monotonic()
+    start, left = time.monotonic(), TimeLeft(scenes)
 
     def tell() -> None:
         if progress:
-            left = (time.monotonic() - start) / result.done * (scenes - result.done) if result.done else None
-            words = "" if left is None else f", {_duration(left)} left"
             kinds = f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures"
-            progress(f"{result.done} of {scenes} scenes, {kinds}{words}")
+            progress(f"{result.done} of {scenes} scenes, {kinds}{left.says(result.done)}")
 
     tell()
     indices = iter(range(first, first + scenes))
@@ -799,12 +798,6 @@ def _record(failure: Failure, seed: int) -> Record:
 # ---- printed
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
 def print_campaign(result: Campaign) -> None:
     """A row for each renderer, the themes, and what nothing explains."""
     from rich.table import Table
@@ -841,6 +834,6 @@ def print_campaign(result: Campaign) -> None:
     end = "interrupted: " if result.interrupted else ""
     click.echo(
         f"{end}{result.done} of {result.asked} scenes of seed {result.seed} from index {result.first} in "
-        f"{_duration(result.seconds)}{speed}: "
+        f"{duration(result.seconds)}{speed}: "
         + (f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures" if result.kinds else "all explained")
     )

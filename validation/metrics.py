@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -96,3 +96,26 @@ def ciede2000(a: NDArray[Any], b: NDArray[Any]) -> ColorDifference:
     lab = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(pairs[:, part] / 255.0)) for part in (slice(0, 3), slice(3, 6))]
     delta = np.asarray(colour.delta_E(lab[0], lab[1], method="CIE 2000"), dtype=np.float64)
     return ColorDifference(float(delta.max()), float((delta * count).sum() / differs.size))
+
+
+@dataclass(frozen=True)
+class Flip:
+    """FLIP, which models what one sees who flips between two images: from 0, nothing, to 1; `map`: of every pixel."""
+
+    max: float
+    mean: float
+    map: Array = field(repr=False, compare=False)
+
+
+def flip(a: NDArray[Any], b: NDArray[Any]) -> Flip:
+    """FLIP of the 8-bit images, shown as sRGB, at the 67 pixels a degree of its authors.
+
+    Raises:
+        ModuleNotFoundError: flip-evaluator is not installed.
+    """
+    import flip_evaluator
+
+    test, reference = (shown(values).astype(np.float32) / np.float32(255) for values in (a, b))
+    errors, _, _ = flip_evaluator.evaluate(reference, test, "LDR", applyMagma=False, computeMeanError=False)
+    found = np.asarray(errors, dtype=np.float64).reshape(test.shape[:2])
+    return Flip(maximum(found), float(found.mean()) if found.size else 0.0, found)

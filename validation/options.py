@@ -18,6 +18,8 @@ SAMPLES = ("corner", "center", "bottom-left", "top-right", "inclusive")
 MOST_THREADS = 1024
 #: That of validation.run, which takes longer to import than help may take; a test holds them together.
 MOST_VERDICTS = 100
+#: A file to write.
+FILE = click.Path(path_type=Path, dir_okay=False)
 #: A whole number of more digits than any of ours.
 TOO_LONG = re.compile("0*[1-9][0-9]{18,}")
 #: What --no-limits allows; a test holds the number to that of the command line.
@@ -98,6 +100,11 @@ class Size(click.ParamType[tuple[int, int]]):
     """COLUMNSxROWS."""
 
     name = "WxH"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Not in capitals, as the x is part of it."""
+        del param, ctx
+        return self.name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Two positive integers."""
@@ -195,8 +202,9 @@ def drawing_options(function: Function) -> Function:
                 "--threads",
                 type=Whole(0, MOST_THREADS),
                 default=0,
+                show_default=True,
                 metavar="N",
-                help="Threads; 0, the default: all.",
+                help="Threads that draw; 0: all.",
             ),
             click.option("--no-limits", is_flag=True, help=NO_LIMITS),
         )
@@ -205,10 +213,50 @@ def drawing_options(function: Function) -> Function:
     return function
 
 
+def open_option(function: Function) -> Function:
+    """--open."""
+    return click.option("--open", "open_report", is_flag=True, help="Open the report in the browser.")(function)
+
+
 def json_option(function: Function) -> Function:
     """--json FILE."""
-    file = click.Path(path_type=Path, dir_okay=False)
-    return click.option("--json", "json_file", type=file, help="Write the results as JSON.")(function)
+    return click.option("--json", "json_file", type=FILE, metavar="FILE", help="Write the results as JSON.")(function)
+
+
+def _remember(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    ctx.meta[f"whitted.{parameter.name}"] = value
+    if quiet() and verbose():
+        raise click.UsageError("--quiet and --verbose exclude each other", ctx)
+
+
+def quiet() -> bool:
+    """Whether the command that runs was told to be."""
+    return _told("quiet")
+
+
+def verbose() -> bool:
+    """Whether the command that runs was told to say more."""
+    return _told("verbose")
+
+
+def _told(name: str) -> bool:
+    ctx = click.get_current_context(silent=True)
+    return bool(ctx and ctx.meta.get(f"whitted.{name}"))
+
+
+def loudness_options(
+    quieter: str = "No progress; of the results the last line alone.",
+    louder: str = "Say on stderr what is being done, with times.",
+) -> Callable[[Function], Function]:
+    """--quiet and --verbose, in words where they do more; see `quiet` and `verbose`."""
+
+    def decorate(function: Function) -> Function:
+        extra: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _remember}
+        less = click.option("-q", "--quiet", help=quieter, **extra)
+        more = click.option("-v", "--verbose", help=louder, **extra)
+        return less(more(function))
+
+    return decorate
 
 
 def results_options(each: str, more: str = "") -> Callable[[Function], Function]:
@@ -224,7 +272,19 @@ def results_options(each: str, more: str = "") -> Callable[[Function], Function]
             help=f"Of {each} work out N differing pixels exactly: who is wrong, and why; a random sample where more "
             f"differ; 0: none.{more}",
         )
-        report = click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html.")
-        return report(json_option(judged(function)))
+        report = click.option(
+            "--report", type=click.Path(path_type=Path), metavar="DIR", help="Write DIR/index.html, a page to look at."
+        )
+        small = click.option(
+            "--small", is_flag=True, help="A report without the float values of pixels: it then has pictures alone."
+        )
+        junit = click.option("--junit", type=FILE, metavar="FILE", help="Write the results as JUnit XML.")
+        markdown = click.option(
+            "--markdown",
+            type=FILE,
+            metavar="FILE",
+            help='Write a summary in Markdown; for the page of a job on GitHub: "$GITHUB_STEP_SUMMARY".',
+        )
+        return report(open_option(small(json_option(junit(markdown(judged(function)))))))
 
     return decorate

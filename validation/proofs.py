@@ -25,6 +25,7 @@ from validation.explain_text import vector, wrapped
 from validation.follow import KINDS, Key
 from validation.run import versions
 from validation.terminal import number
+from validation.timing import TimeLeft
 from validation.truth import NOWHERE, Ball, Prover, Tie, Truth, prove
 
 if TYPE_CHECKING:
@@ -308,9 +309,10 @@ def tell(
             write("," * bool(place) + f'\n{opening}, "pixels": [')
             start = _busy()
             found = stack.enter_context(closing(proved(scene, at, settings, jobs=jobs)))
+            left = TimeLeft(len(at))
             for count, truth in enumerate(found):
                 if progress and count % 100 == 0:
-                    progress(f"{label}: {count} of {len(at)} pixels proved")
+                    progress(f"{label}: {count} of {len(at)} pixels proved{left.says(count)}")
                 summary.add(truth)
                 if image:
                     image.add(truth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.metadata
 import itertools
 import math
@@ -23,9 +24,10 @@ import tracer.margins
 from tracer._render import check_memory as room_for
 from tracer.passes import TABLE, Passes, lookup, names
 from validation import pairs, renderers
-from validation.compare import Comparison, Judge, Record, compare_passes, json_value
+from validation.compare import Comparison, Judge, Record, compare_passes, json_value, without_maps
 from validation.encoding import Encoding
 from validation.renderers import Renderer, Settings, Uncertainty
+from validation.timing import TimeLeft
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from validation.verdict import Court, Verdicts
 
 #: Packages whose version goes into every result.
-PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint")
+PACKAGES = ("numpy", "scipy", "colour-science", "matplotlib", "pillow", "openexr", "python-flint", "flip-evaluator")
 
 #: As a path it stands for standard input.
 STDIN = Path("-")
@@ -73,6 +75,7 @@ class Rendered:
     reference: Passes
     comparisons: Sequence[Comparison]
     verdicts: Verdicts | None = None
+    analysis: Analysis | None = None
 
 
 @dataclass(kw_only=True)
@@ -134,11 +137,27 @@ class Validation(Outcome):
     wrong: tuple[str, ...] = ()
     #: What was asked for and not compared, as a renderer lacks it: scene, renderer, pass.
     lacking: set[tuple[str, str, str]] = field(default_factory=set)
+    #: The scenes that were asked for, and those of them that are not done yet: of what ended early.
+    scenes: tuple[str, ...] = ()
+    unfinished: tuple[str, ...] = ()
+    #: What these are: scenes, or programs that drew them all.
+    parts: str = "scene"
 
     @property
     def ok(self) -> bool:
-        """Whether something was compared, everything agrees and no renderer failed."""
-        return self.status == 0
+        """Whether something was compared, everything agrees, no renderer failed, and nothing is missing."""
+        return self.status == 0 and not self.unfinished
+
+    def snapshot(self) -> Validation:
+        """What is there now; the lists of this one go on."""
+        return replace(
+            self,
+            comparisons=[*self.comparisons],
+            verdicts=[*self.verdicts],
+            notes=[*self.notes],
+            failures=[*self.failures],
+            lacking={*self.lacking},
+        )
 
     @property
     def status(self) -> int:
@@ -181,6 +200,7 @@ class Validation(Outcome):
             "verdicts": [verdicts.record() for verdicts in self.verdicts],
             "notes": [vars(note).copy() for note in self.notes],
             "failures": [vars(note).copy() for note in self.failures],
+            "unfinished": list(self.unfinished),
         }
         strict: Record = json_value(entry)
         return strict
@@ -299,10 +319,26 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
         elif path.exists() or path == STDIN:
             files.append(path)
         else:
-            wrong.append(f"{path}: error: no such file or folder")
+            near = _near(path)
+            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{near}'?" * bool(near))
     if wrong:
         raise SceneFilesError(wrong)
     return list(dict.fromkeys(files))
+
+
+def _near(path: Path) -> Path | None:
+    """The scene or folder that a path was meant to be, in the folder that it names."""
+    try:
+        names = {
+            entry.stem if entry.suffix == ".txt" else entry.name: entry.name
+            for entry in sorted(path.parent.iterdir())
+            if entry.suffix == ".txt" or entry.is_dir()
+        }
+    except OSError:
+        return None
+    # Without the ending, which all have in common.
+    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1, cutoff=0.75)
+    return path.parent / names[near[0]] if near else None
 
 
 def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str, Scene]:
@@ -333,7 +369,21 @@ def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int
     """What to type to have a pixel of the scene, as it was drawn, explained; `names`: of renderers, or of images."""
     where = "-" if label == "<stdin>" else label
     known = [name for name in names if name.partition(":")[0] != "image"]
-    words = ["whitted", "explain", where, str(x), str(y), "--renderer", ",".join(known)]
+    words = ["whitted", "explain", where, str(x), str(y), *renderer_words(known)]
+    return f"{shlex.join(words)} {explain_options(label, scene, settings)}".rstrip()
+
+
+def renderer_words(names: Iterable[str]) -> list[str]:
+    """Options that name these renderers: one for all, but of commands one each, as a comma may belong to a command."""
+    unique = list(dict.fromkeys(names))
+    plain = [name for name in unique if not name.startswith("cmd:")]
+    lists = [",".join(plain)] * bool(plain) + [name for name in unique if name.startswith("cmd:")]
+    return [word for one in lists for word in ("--renderer", one)]
+
+
+def explain_options(label: str, scene: Scene, settings: Settings) -> str:
+    """What such a command needs beside the pixel and the renderers: it is the same for every pixel."""
+    words: list[str] = []
     if not _is_file(label, scene):
         words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
     for name in ("sample", "shadow_epsilon", "max_reflections"):
@@ -412,6 +462,8 @@ def validate(
     on_rendered: Callable[[Rendered], None] | None = None,
     progress: Callable[[str], None] | None = None,
     all_pairs: bool = False,
+    on_scene: Callable[[Validation], None] | None = None,
+    flip: bool = False,
 ) -> Validation:
     """Draw every scene with every renderer and every reference, and compare each pair pass by pass.
 
@@ -420,7 +472,8 @@ def validate(
     in time at this size are compared at a smaller one, and a note says so. `verdicts`: the most pixels of a scene and
     pair that are judged where they differ; of more a random sample. `first`: no more are judged than so many of them
     if these all come to the same mistake, or to none that is known; 0: all are. `all_pairs`: every pair of all of them,
-    each drawn once.
+    each drawn once. `on_scene`: called after every scene with what was found so far.
+    `flip`: whether FLIP of `beauty` is measured, which takes flip-evaluator and a third of a second for 400x400 pixels.
 
     Raises:
         SceneFilesError: a scene cannot be read.
@@ -441,21 +494,29 @@ def validate(
         check_memory(label, scene, _asked(scene, settings, passes))
     tested, references = _renderers(renderer), _renderers(against)
     every = dict.fromkeys([*tested, *references])
-    result = Validation(settings=settings, versions=versions(every))
+    labels = tuple(at_sizes)
+    result = Validation(settings=settings, versions=versions(every), scenes=labels, unfinished=labels)
     usable = result.usable(every)
     against_each = itertools.combinations(every, 2) if all_pairs else itertools.product(tested, references)
     chosen = [
         (one, other) for one, other in against_each if one.name != other.name and one in usable and other in usable
     ]
-    for label, at_size in at_sizes.items():
-        shared = _Shared()
-        for one, other in chosen:
+    left = TimeLeft(len(at_sizes) * len(chosen))
+    for place, (label, at_size) in enumerate(at_sizes.items()):
+        shared = _Shared(flip)
+        for number, (one, other) in enumerate(chosen, place * len(chosen)):
             if progress:
-                progress(f"{label}: {one.name} against {other.name}")
+                # First what must not be cut off.
+                count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
+                where = f"{count}{left.says(number)}".removeprefix(", ")
+                progress(f"{where}{': ' * bool(where)}{label}: {one.name} against {other.name}")
             try:
                 _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
             except _PairError as error:
                 result.fail(error.note)
+        result.unfinished = labels[place + 1 :]
+        if on_scene:
+            on_scene(result)
     return result
 
 
@@ -500,8 +561,9 @@ def _of(label: str, renderer: Renderer) -> Iterator[None]:
 
 @dataclass
 class _Shared:
-    """What pairs share of one scene, by its size and by renderer."""
+    """What pairs share of one scene, by its size and by renderer; `flip`: whether FLIP is measured."""
 
+    flip: bool = False
     drawn: dict[tuple[str, tuple[int, int]], Passes | None] = field(default_factory=dict)
     analyses: dict[tuple[int, int], Analysis] = field(default_factory=dict)
     claims: dict[tuple[str, tuple[int, int]], Uncertainty] = field(default_factory=dict)
@@ -631,7 +693,7 @@ def _compare(
                 shared.claims[side.name, at] = side.uncertainty(scene, settings, analysis)
             claims.append(shared.claims[side.name, at])
     encodings = (encoding_of(first, a), encoding_of(second, b))
-    judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings)
+    judge = Judge(scene, settings, analysis, claims[0], claims[1], encodings, shared.flip)
     found = list(compare_passes(a, b, passes, judge, scene=label, renderer=first.name, reference=second.name))
     for side, encoding in zip((first, second), encodings, strict=True):
         note = Note("", side.name, "an image is compared as the settings say: `whitted check` finds how it was made")
@@ -660,8 +722,8 @@ def _compare(
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None))
-    result.comparisons += [replace(comparison, maps=None) for comparison in found]
+        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None, analysis))
+    result.comparisons += [without_maps(comparison) for comparison in found]
 
 
 def _draw(result: Validation, label: str, scene: Scene, side: Renderer, wanted: Sequence[str]) -> Passes | None:

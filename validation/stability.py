@@ -44,6 +44,7 @@ from validation.run import (
     why_not,
 )
 from validation.terminal import colorful, console, number, print_failures
+from validation.timing import TimeLeft
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -678,13 +679,12 @@ def stability(
     tasks = deque(
         _Task(ladder.name if id(ladder) in known else ladder, rung) for ladder in chosen for rung in ladder.rungs
     )
-    count, start = len(tasks), time.monotonic()
+    count, start, left = len(tasks), time.monotonic(), TimeLeft(len(tasks))
 
     def tell() -> None:
         if progress:
             done = len(result.rungs)
-            left = f", {(time.monotonic() - start) / done * (count - done):.0f} s left" if done else ""
-            progress(f"{done} of {count} rungs{left}")
+            progress(f"{done} of {count} rungs{left.says(done)}")
 
     tell()
     run = (

@@ -84,7 +84,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         most = max(alike, key=lambda comparison: comparison.edge)
         names = ", ".join(comparison.pass_name for comparison in alike)
         where = f"{most.scene}: {names} ({most.renderer}, {most.reference})"
-        worst = _worst(most) if len(alike) == 1 else ""
+        worst = worst_of(most) if len(alike) == 1 else ""
         click.secho(f"{where}: {'; '.join(most.reasons)}{worst}", fg="red", color=colorful())
     undecided = {c.reference for c in result.comparisons for reason in c.reasons if reason.startswith(TOO_MANY)}
     if undecided - {"numpy-f64"}:
@@ -108,6 +108,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         sum(not verdict.explained for verdict in verdicts.verdicts) + len(verdicts.unproved)
         for verdicts in result.verdicts
     )
+    missing = len(result.unfinished)
     # Of a sample that has some, there may be more.
     least = "at least " * any(len(v.verdicts) + len(v.unproved) < v.differ for v in result.verdicts)
     agree = sum(comparison.ok for comparison in result.comparisons)
@@ -118,6 +119,7 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         total
         + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
         + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        + (f", {missing} of {len(result.scenes)} {result.parts}s are missing" if missing else "")
     )
 
 
@@ -331,7 +333,8 @@ def _legend(groups: Iterable[Sequence[Comparison]], *, verbose: bool, width: int
         yield f"all: /tolerance and interior of the worst pass; {error}edge: of that with most over"
 
 
-def _worst(comparison: Comparison, *, levels: bool = False) -> str:
+def worst_of(comparison: Comparison, *, levels: bool = False) -> str:
+    """The worst pixel and both values, as a clause behind what is wrong; "" where there is none."""
     worst = comparison.worst
     if worst is None:
         return ""
@@ -422,7 +425,7 @@ def print_comparisons(found: Sequence[Comparison], *, levels: bool = False) -> N
             click.echo(
                 f"{comparison.pass_name}: "
                 + "; ".join(reasons)
-                + _worst(comparison, levels=levels).removeprefix("; " * (not reasons))
+                + worst_of(comparison, levels=levels).removeprefix("; " * (not reasons))
             )
 
 

@@ -1,17 +1,13 @@
-"""Opens the report in a browser as a reader does: from a file, in light and in dark."""
+"""Opens the report in a browser as a reader does: from a file, in light and in dark. The viewer: test_viewer.py."""
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import doubles
 import pytest
-from conftest import need
 from doubles import Double, with_arrays
 
 from validation import validate
@@ -33,25 +29,11 @@ def dented(arrays: doubles.Arrays) -> None:
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A report with failures, edges, and pictures that occur twice."""
-    page = Report()
+    page = Report(small=True)
     scenes = {"full": doubles.full(), "cave": doubles.cave()}
     result = validate(scenes, ["native-f32", Double(draw=with_arrays(dented))], "numpy-f64", on_rendered=page.add)
     result.command = ["whitted", "validate", "full.txt"]
-    return page.write(tmp_path_factory.mktemp("report"), result).as_uri()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium, from WHITTED_CHROMIUM or where distributions put it."""
-    found = os.environ.get("WHITTED_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    need(found and Path(found).exists(), "no Chromium: apt-get install chromium, or set WHITTED_CHROMIUM")
-    need(importlib.util.find_spec("playwright"), "no Playwright: pip install playwright")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
+    return page.write(tmp_path_factory.mktemp("report"), result).as_uri() + "#report"
 
 
 @pytest.fixture(params=["light", "dark"])
@@ -96,13 +78,13 @@ def wide(browser: Any, tmp_path: Path) -> Iterator[Any]:
     result = validate(dict.fromkeys(names, scene), "native-f32", "numpy-f64", size=(24, 18), on_rendered=page.add)
     result.command = ["whitted", "validate", "x" * 500]
     opened = browser.new_page(viewport={"width": 1280, "height": 900})
-    opened.goto(page.write(tmp_path, result).as_uri())
+    opened.goto(page.write(tmp_path, result).as_uri() + "#report")
     yield opened
     opened.close()
 
 
 def test_a_table_of_every_pass_fits(wide: Any) -> None:
-    table = wide.locator(".wide")
+    table = wide.locator("#report .wide")
     assert table.locator("thead th").count() == 19
     assert table.evaluate("box => box.scrollWidth <= box.clientWidth")
     wide.set_viewport_size({"width": 420, "height": 900})

@@ -781,7 +781,7 @@ def test_help_shows_examples_and_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert not {"numpy", "rich", "tracer", "flint", "mitsuba"} & set(done.stderr.partition("LOADED")[2].split())
-    assert "\n  whitted truth scenes/gallery/mirrors.txt --at 200 150\n" in done.stdout
+    assert "\n  $ whitted truth scenes/gallery/mirrors.txt --at 200 150\n" in done.stdout
     assert "default: 10" in done.stdout
 
 
@@ -844,3 +844,26 @@ def test_wrong_pixels_of_a_renderer_that_holds_are_accounted_for(run: Any) -> No
     assert f"\n{told}\n" in result.out
     other = run(FOLDER / "spec" / "touching-spheres.txt", "--renderer", "native-f64", *words)
     assert "though some are wrong" not in other.out
+
+
+def test_interrupted_the_certificates_are_kept(
+    run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, file = certify.certify, tmp_path / "r.json"
+
+    def once(*arguments: Any, **more: Any) -> Any:
+        if arguments[1].name == "numpy-f64":
+            raise KeyboardInterrupt
+        return real(*arguments, **more)
+
+    monkeypatch.setattr(certify, "certify", once)
+    words = ("--pixels", 20, "--edges", 5, "--jobs", 1, "--json", file)
+    result = run(scene, "--renderer", "native-f64,numpy-f64", *words)
+    assert result.status == 130
+    assert result.out.endswith("\ninterrupted: 1 of 1 certificates hold\n")
+    record = strict(file.read_text())
+    assert (record["ok"], record["interrupted"]) == (False, True)
+    assert [entry["renderer"] for entry in record["certificates"]] == ["native-f64"]
+    file.unlink()
+    assert run(scene, "--renderer", "numpy-f64", *words).out == ""
+    assert not file.exists()

@@ -538,7 +538,7 @@ def test_a_program_that_ends_badly_is_checked(
 
 
 def test_what_is_finished_is_told_where_the_rest_is_not(
-    scene_file: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+    scene_file: Path, tmp_path: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     original = validation.check.draw_pictures
@@ -550,9 +550,42 @@ def test_what_is_finished_is_told_where_the_rest_is_not(
 
     monkeypatch.setattr(validation.check, "draw_pictures", interrupted)
     programs = ("--command", "raytrace {scene}", "--command", "raytrace {scene} --sample center")
-    result = run("check", scene_file, *programs)
+    file, page = tmp_path / "all.json", tmp_path / "report" / "index.html"
+    result = run("check", scene_file, *programs, "--json", file, "--report", page.parent)
     assert result.status == 130
-    assert "1 of 1 programs are right" in result.out
+    assert result.out.endswith("\nright\n")
+    assert result.err == f"\ninterrupted: kept {file} and {page} with 1 of 2 programs\n"
+    record = strict(file.read_text())
+    assert (record["ok"], record["unfinished"]) == (False, ["raytrace {scene} --sample center"])
+    assert [entry["program"] for entry in record["programs"]] == ["cmd:raytrace {scene}"]
+    assert "<h1>Unfinished: 1 of 2 programs. " in page.read_text()
+
+
+def test_of_one_program_the_scenes_that_are_finished_are_kept(
+    scene_file: Path, tmp_path: Path, run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    second = tmp_path / "second.txt"
+    second.write_text(scene_file.read_text())
+    original = validation.run._draw
+
+    def interrupted(result: Any, label: str, *arguments: Any) -> Any:
+        if label == str(second):
+            raise KeyboardInterrupt
+        return original(result, label, *arguments)
+
+    monkeypatch.setattr(validation.run, "_draw", interrupted)
+    file, page = tmp_path / "one.json", tmp_path / "report" / "index.html"
+    words = ("--command", "raytrace {scene} --max-reflections 0", "--json", file, "--report", page.parent)
+    result = run("check", scene_file, second, *words)
+    assert result.status == 130
+    assert result.err == f"\ninterrupted: kept {file} and {page} with 1 of 2 scenes\n"
+    assert "most likely: it reflects 0 times, not 3" in result.out
+    record = strict(file.read_text())
+    assert (record["ok"], record["unfinished"]) == (False, [str(second)])
+    assert record["fit"]["sample"] == "corner"
+    assert [entry["label"] for entry in record["left"]] == [str(scene_file)]
+    assert "<h1>Unfinished: 1 of 2 scenes. " in page.read_text()
 
 
 def test_several_programs_have_a_line_each(

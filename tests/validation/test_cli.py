@@ -20,7 +20,8 @@ from doubles import Double
 import validation.__main__ as program
 from tracer import _native
 from tracer.passes import SAMPLES, Passes
-from validation import cli, options
+from validation import options
+from validation.commands import errors, inputs
 from validation.run import MOST_VERDICTS
 
 
@@ -30,10 +31,10 @@ def test_of_a_file_that_is_no_scene_the_beginning_is_told(run: Any, tmp_path: Pa
         text.write_text("once upon a time\n" * lines)
         result = run("validate", text, *NATIVE)
         assert result.status == 2
-        assert result.err.count(": error: found 'once'") == cli.MOST_ERRORS
+        assert result.err.count(": error: found 'once'") == errors.MOST_ERRORS
         counted = result.err.splitlines()[-1]
         assert counted.startswith(f"{text}: error: and ")
-        assert int(counted.split()[-2]) > lines - cli.MOST_ERRORS, "what is missing is counted, too"
+        assert int(counted.split()[-2]) > lines - errors.MOST_ERRORS, "what is missing is counted, too"
 
 
 #: The command line (SCENE stands for a scene file), what its error says, and what its hint says.
@@ -47,7 +48,7 @@ WRONG = {
     "pass": ("validate SCENE --passes beuaty", "unknown pass 'beuaty'", "did you mean 'beauty'?"),
     "margin": ("validate SCENE --passes margin.order", "'margin.order' is not compared", "the passes are beauty, "),
     "no pass": ("validate SCENE --passes foo", "unknown pass 'foo'", "the passes are beauty, ambient, "),
-    "far option": ("validate SCENE --quiet", "no such option '--quiet'", "see `whitted validate --help`"),
+    "far option": ("validate SCENE --zzz", "no such option '--zzz'", "see `whitted validate --help`"),
     "empty size": ("validate SCENE --size 0x10", "'0x10' is not a size: at least 1x1", "see `whitted"),
     "long size": ("validate SCENE --size 9999999999x10", "'9999999999x10' is too large", "see `whitted"),
     "memory of validate": (
@@ -91,6 +92,14 @@ WRONG = {
         "a smaller --size, or fewer --passes",
     ),
     "no file": ("validate nowhere.txt", "nowhere.txt: error: no such file or folder", ""),
+    "near file": ("validate ful.txt", "ful.txt: error: no such file or folder", "did you mean 'full.txt'?"),
+    "no ending": ("validate full", "full: error: no such file or folder", "did you mean 'full.txt'?"),
+    "in another folder": ("validate scenes/full.txt", "scenes/full.txt: error: no such", ""),
+    "quiet and verbose": ("validate SCENE -q -v", "--quiet and --verbose exclude each other", "see `whitted"),
+    "nothing to open": ("validate SCENE --open", "--open opens a report, and there is none", "--report DIR --open"),
+    "no curves to open": ("stability --open", "--open opens a report, and there is none", "--report DIR --open"),
+    "JUnit to -": ("validate SCENE --junit -", "'-' is not the name of a file to write", "name a file"),
+    "Markdown folder": ("check SCENE --image x.ppm --markdown no/x.md", "there is no folder no", "mkdir -p no"),
     "json folder": ("validate SCENE --json no/where.json", "there is no folder no", "mkdir -p no"),
     "render ending": ("render SCENE -o x.jpg", "unknown file ending '.jpg'", "expected .exr, .npz, .png or .ppm"),
     "render folder": ("render SCENE -o no/x.png", "there is no folder no", "mkdir -p no"),
@@ -151,7 +160,7 @@ def test_an_instruction_set_that_is_not_there(
 def test_the_samples_are_those_of_the_renderers() -> None:
     assert options.SAMPLES == SAMPLES
     assert options.MOST_THREADS == _native.MOST_THREADS
-    assert f"more than {cli.LONGEST_SIDE} columns" in options.NO_LIMITS
+    assert f"more than {inputs.LONGEST_SIDE} columns" in options.NO_LIMITS
     assert options.MOST_VERDICTS == MOST_VERDICTS
 
 
@@ -207,7 +216,7 @@ def test_interrupted_it_ends_with_130_and_no_traceback(endless: Path, tmp_path: 
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.strip() == "interrupted"
+    assert err.strip() == "interrupted: nothing was finished, nothing was written"
     assert not (tmp_path / "r.json").exists()
 
 

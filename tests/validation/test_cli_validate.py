@@ -48,7 +48,19 @@ def test_validate_writes_strict_json(run: Any, scene: Path, tmp_path: Path, regi
     assert result.status == 1
     record = strict(file.read_text())
     assert set(record) == {
-        *("ok", "command", "settings", "versions", "counts", "pairs", "comparisons", "verdicts", "notes", "failures")
+        *(
+            "ok",
+            "command",
+            "settings",
+            "versions",
+            "counts",
+            "pairs",
+            "comparisons",
+            "verdicts",
+            "notes",
+            "failures",
+            "unfinished",
+        )
     }
     assert record["counts"]["double"]["depth"] == {"compared": 1, "agree": 0, "lacking": 0}
     assert record["counts"]["numpy-f64"]["depth"] == {"compared": 2, "agree": 1, "lacking": 0}

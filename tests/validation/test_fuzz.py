@@ -447,7 +447,7 @@ def test_help_shows_examples_and_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert not {"numpy", "rich", "tracer", "flint", "mitsuba"} & set(done.stderr.partition("LOADED")[2].split())
-    assert "\n  whitted stability --fuzz 100\n" in done.stdout
+    assert "\n  $ whitted stability --fuzz 2 --renderer numpy-f64 --seed 6\n" in done.stdout
 
 
 def test_a_drawn_scene_is_a_value() -> None:

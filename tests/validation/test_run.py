@@ -219,3 +219,16 @@ def test_wrong_input_is_no_failure_of_a_renderer() -> None:
     assert [note.message for note in result.failures] == [message]
     result.failures.append(Note("", "somebody", "failed"))
     assert result.status == 3, "a renderer that failed outweighs it"
+
+
+def test_the_words_that_name_renderers_mean_these_renderers() -> None:
+    """As the command line reads them: a comma after `cmd:` belongs to the command."""
+    from validation.options import Names
+    from validation.run import renderer_words
+
+    for names in (["a"], ["a", "b", "a"], ["cmd:x {scene},y", "a"], ["cmd:x {scene}", "cmd:y {scene}", "b", "a"], []):
+        words = renderer_words(names)
+        assert words[::2] == ["--renderer"] * (len(words) // 2)
+        read = [name for word in words[1::2] for name in Names().convert(word, None, None)]
+        assert sorted(read) == sorted(set(names))
+    assert renderer_words(["native-f64", "numpy-f64"]) == ["--renderer", "native-f64,numpy-f64"]

@@ -186,6 +186,14 @@ def heatmap(error: NDArray[np.float64], compared: Mask, edge: Mask) -> Heatmap |
     return Heatmap(encode(image, how, transparency=see_through), ticks, colors)
 
 
+def flip(errors: NDArray[np.float64]) -> Picture:
+    """A map of FLIP in the colours that its authors use."""
+    import matplotlib
+
+    colors = np.array(matplotlib.colormaps["magma"](np.clip(errors, 0, 1)))[..., :3]
+    return encode(_color(colors), "magma, from black, 0, to light, 1")
+
+
 def outline(edge: Mask) -> str:
     """An SVG path along every border between edge pixels and others."""
     padded = np.pad(edge, 1)

@@ -7,7 +7,7 @@ import importlib.metadata
 import math
 import re
 import shlex
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,9 @@ from markupsafe import Markup
 
 from tracer.passes import TABLE, lookup, write_beside
 from validation import pairs
+from validation.compare import without_maps
 from validation.report import pictures
+from validation.report.data import VIEWER, Data, modules
 from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
 from validation.report.verdicts import view as view_verdicts
 
@@ -63,6 +65,7 @@ class PassView:
     shared: bool = False
     identical: bool = False
     heat: Shown | None = None
+    flip: Shown | None = None
     heatmap: pictures.Heatmap | None = None
     edges: str = ""
     zoom: int = 1
@@ -76,6 +79,17 @@ class PassView:
     def count(self) -> int:
         """Pictures that the page shows of it."""
         return sum(shown is not None for shown in (self.a, self.b, self.heat))
+
+    def pictures(self) -> dict[str, Any]:
+        """Where the viewer finds them: their id, or where they have none their address."""
+        found: dict[str, Any] = {}
+        for name, shown in (("a", self.a), ("b", self.a if self.shared else self.b), ("heat", self.heat)):
+            if shown:
+                found[f"picture_{name}"] = shown.key or shown.uri
+                found["how"] = self.a.picture.how if self.a else ""
+        if self.heatmap:
+            found["ticks"] = [[place, text] for place, text in self.heatmap.ticks]
+        return found
 
 
 @dataclass
@@ -162,10 +176,12 @@ def ours(path: Path) -> bool:
 class Report:
     """Collects pictures while scenes are compared, so that no arrays need to be kept, and writes the page."""
 
-    def __init__(self) -> None:
-        """Empty."""
+    def __init__(self, *, small: bool = False) -> None:
+        """Empty; `small`: without the float data, so that every pass has its pictures instead."""
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
+        self._data = Data(small=small)
+        self._finished: list[SceneView] = []
 
     def add(self, rendered: Rendered) -> None:
         """Make the pictures of one scene and one pair."""
@@ -184,10 +200,12 @@ class Report:
         for comparison in rendered.comparisons:
             scene.passes.append(self._view(scene, comparison, rendered.renderer, rendered.reference))
         self._scenes.append(scene)
+        shown = {view.comparison.pass_name: view.pictures() for view in scene.passes}
+        self._data.add(rendered, scene.anchor, scene.verdicts, shown, ok=scene.ok)
 
     def _view(self, scene: SceneView, comparison: Comparison, a: Passes, b: Passes) -> PassView:
         anchor, maps = f"{scene.anchor}-{comparison.pass_name}", comparison.maps
-        view = PassView(anchor, replace(comparison, maps=None), zoom=scene.zoom)
+        view = PassView(anchor, without_maps(comparison), zoom=scene.zoom)
         if maps is None:
             return view
         if worst := comparison.worst:
@@ -201,14 +219,20 @@ class Report:
         view.nearest = _nearest(comparison, maps)
         name, everywhere = comparison.pass_name, np.ones(maps.edge.shape, dtype=bool)
         hits = tuple(np.asarray(side["id"]) >= 0 if "id" in side else everywhere for side in (a, b))
-        drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
         view.heatmap = pictures.heatmap(maps.error, maps.compared, maps.edge)
         view.identical = view.heatmap is None
+        # What agrees is in the float data; the part that needs no script is the leaner for it.
+        if comparison.ok and name != "beauty" and not self._data.small and any(other.a for other in scene.passes):
+            view.heatmap = None
+            return view
+        drawn = pictures.pair(lookup(name), a[name], b[name], (hits[0], hits[1]))
         view.shared = view.identical and drawn[0].uri == drawn[1].uri
         view.a = self._store(drawn[0])
         view.b = None if view.shared else self._store(drawn[1])
         if name == "beauty":
             scene.thumbnail = view.a
+        if comparison.flip and comparison.flip.max > 0:
+            view.flip = self._store(pictures.flip(comparison.flip.map))
         if view.heatmap:
             view.heat = self._store(view.heatmap.picture)
             if path := pictures.outline(maps.edge & maps.compared):
@@ -239,11 +263,29 @@ class Report:
         environment.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
         environment.filters |= {"scaled": scaled}
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
+        style += (VIEWER / "viewer.css").read_text(encoding="utf-8")
+        top = headline(result)
+        # Of a run that ended early, one may be half done.
+        pairs_done = {
+            (comparison.scene, comparison.renderer, comparison.reference) for comparison in result.comparisons
+        }
+        self._finished = [
+            scene
+            for scene in self._scenes
+            if not result.unfinished or (scene.label, scene.renderer, scene.reference) in pairs_done
+        ]
+        record, blocks = self._data.page(
+            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
+            {scene.anchor for scene in self._finished},
+        )
         page = environment.get_template("report.html.j2").render(
             result=result,
             style=Markup(style),
             mark=Markup(MARK) + importlib.metadata.version("whitted"),
-            headline=headline(result),
+            headline=top,
+            record=Markup(record),
+            blocks=[(key, Markup(text)) for key, text in blocks],
+            modules=Markup(modules()),
             scenes=self._ordered(),
             summary=self._summary(),
             names=pairs.names(result.comparisons),
@@ -265,7 +307,7 @@ class Report:
 
     def _ordered(self) -> list[SceneView]:
         """Failures first; the stored pictures keep their order of appearance, as references go by id."""
-        return sorted(self._scenes, key=lambda scene: (scene.failed == 0, scene.ok))
+        return sorted(self._finished, key=lambda scene: (scene.failed == 0, scene.ok))
 
     def _lines(self) -> list[Why]:
         """Why pixels differ, of all scenes; what nothing explains first, then in the order of the scenes.
@@ -283,7 +325,7 @@ class Report:
 
     def _summary(self) -> list[dict[str, Any]]:
         """One table a pair of renderers: scenes by passes."""
-        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._scenes)
+        pairs = dict.fromkeys((scene.renderer, scene.reference) for scene in self._finished)
         tables = []
         for pair in pairs:
             scenes = [scene for scene in self._ordered() if (scene.renderer, scene.reference) == pair]
@@ -331,7 +373,9 @@ def _order(name: str) -> tuple[int, int]:
 def headline(result: Validation) -> str:
     """What came out, in one line; that something failed, or is wrong besides, comes first."""
     wrong = f"Wrong: {'; '.join(result.wrong)}" if result.wrong else ""
-    return ". ".join(filter(None, (failed(result.failures), wrong, compared(result))))
+    done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), result.parts)}"
+    unfinished = f"Unfinished: {done}" if result.unfinished else ""
+    return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, compared(result))))
 
 
 def failed(failures: Sequence[Note]) -> str:

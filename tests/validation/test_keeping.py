@@ -1,0 +1,136 @@
+"""What is finished is on the disk, whole, after every scene, and stays there when the run ends early."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import doubles
+import pytest
+from conftest import strict
+from doubles import Double, with_arrays
+
+from validation.commands import results
+from validation.commands.results import Results
+from validation.timing import TimeLeft, duration
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> list[Path]:
+    """Three scenes."""
+    paths = [tmp_path / f"{name}.txt" for name in ("one", "two", "three")]
+    for path in paths:
+        path.write_text(doubles.FULL)
+    return paths
+
+
+class Stops(Double):
+    """Ends as with Ctrl-C when it draws the scene after so many."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__(draw=with_arrays(lambda _: None))
+        self.left = after
+
+    def render(self, *arguments: Any) -> Any:
+        if not self.left:
+            raise KeyboardInterrupt
+        self.left -= 1
+        return super().render(*arguments)
+
+
+def test_interrupted_in_the_third_scene_two_are_kept(
+    run: Any, three: list[Path], tmp_path: Path, registered: Any
+) -> None:
+    registered(Stops(2))
+    files = ("--json", tmp_path / "r.json", "--report", tmp_path / "report")
+    ended = run("validate", *three, "--renderer", "double", "--against", "native-f64", "--size", "16x12", *files)
+    page = tmp_path / "report" / "index.html"
+    assert ended.status == 130
+    assert ended.err == f"\ninterrupted: kept {tmp_path / 'r.json'} and {page} with 2 of 3 scenes\n"
+    assert ended.out.endswith("\n30 of 30 comparisons agree, 1 of 3 scenes are missing\n")
+    record = strict((tmp_path / "r.json").read_text())
+    assert (record["ok"], record["unfinished"]) == (False, [str(three[2])])
+    assert {entry["scene"] for entry in record["comparisons"]} == {str(path) for path in three[:2]}
+    text = page.read_text()
+    assert "<h1>Unfinished: 2 of 3 scenes. All 30 comparisons agree" in text
+    assert text.rstrip().endswith("</html>")
+    assert "two.txt" in text
+    assert f"<li>{three[2]}</li>" in text
+    assert text.count("three.txt") == 3, "there, and in the command, which the viewer has, too"
+
+
+def test_what_is_half_done_is_not_in_the_report(run: Any, three: list[Path], tmp_path: Path, registered: Any) -> None:
+    """The first pair of the second scene is in the report before the second pair stops it."""
+    registered(Stops(1))
+    sides = ("--renderer", "native-f64", "--against", "numpy-f64,double", "--size", "16x12")
+    ended = run("validate", *three[:2], *sides, "--report", tmp_path / "report", "--json", tmp_path / "r.json")
+    assert ended.status == 130
+    record = strict((tmp_path / "r.json").read_text())
+    assert {entry["scene"] for entry in record["comparisons"]} == {str(three[0])}
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert 'id="s1"' in page
+    assert 'id="s2"' not in page
+
+
+def test_interrupted_in_the_first_scene_nothing_is_written(
+    run: Any, three: list[Path], tmp_path: Path, registered: Any
+) -> None:
+    registered(Stops(0))
+    sides = ("--renderer", "double", "--against", "native-f64", "--size", "16x12")
+    ended = run("validate", *three, *sides, "--json", tmp_path / "r.json")
+    assert (ended.status, ended.out) == (130, "")
+    assert ended.err == "\ninterrupted: nothing was finished, nothing was written\n"
+    assert not (tmp_path / "r.json").exists()
+    assert run("validate", *three, *sides).err == "\ninterrupted\n"
+
+
+def test_the_files_are_whole_after_every_scene(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "SHARE", float("inf"))
+    seen: list[tuple[int, bool]] = []
+    real = Results.scene
+
+    def scene(self: Results, result: Any) -> None:
+        real(self, result)
+        page = (tmp_path / "report" / "index.html").read_text() if result.unfinished else ""
+        record = strict((tmp_path / "r.json").read_text()) if result.unfinished else {}
+        seen.append((len(record.get("unfinished", [])), page.rstrip().endswith("</html>")))
+        assert f"Unfinished: {3 - len(result.unfinished)} of 3 scenes" in page or not result.unfinished
+
+    monkeypatch.setattr(Results, "scene", scene)
+    files = ("--json", tmp_path / "r.json", "--report", tmp_path / "report")
+    ended = run("validate", *three, "--renderer", "native-f64", "--against", "native-f32", "--size", "16x12", *files)
+    assert ended.status == 0
+    assert seen == [(2, True), (1, True), (0, False)]
+    assert strict((tmp_path / "r.json").read_text())["unfinished"] == []
+    assert "Unfinished" not in (tmp_path / "report" / "index.html").read_text()
+    assert not list(tmp_path.rglob(".whitted-*"))
+
+
+def test_writing_again_takes_a_share_of_the_time(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    real = Results.write
+
+    def write(self: Results, result: Any, record: Any = None) -> list[Path]:
+        written.append(len(result.unfinished))
+        paths = real(self, result, record)
+        self._took = 1000.0  # as if it were a large one
+        return paths
+
+    monkeypatch.setattr(Results, "write", write)
+    run("validate", *three, "--renderer", "native-f64", "--against", "native-f32", "--json", tmp_path / "r.json")
+    assert written == [2, 0], "after the first scene and at the end"
+
+
+def test_time_left() -> None:
+    now = [100.0]
+    left = TimeLeft(10, clock=lambda: now[0])
+    assert left.says(0) == ""
+    now[0] = 130.0
+    assert left.says(3) == ", 70 s left"
+    assert left.says(1) == ", 4 min left"
+    assert TimeLeft(1, clock=lambda: now[0]).says(1) == ""
+    assert [duration(seconds) for seconds in (0.4, 89, 91, 5399, 7200)] == ["0 s", "89 s", "2 min", "90 min", "2.0 h"]

@@ -1,0 +1,151 @@
+"""The published schema of result files: files keep to it, it has every field, and the document explains every field."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+import sys
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import doubles
+import numpy as np
+import pytest
+from command_line import NATIVE, one_pixel
+from conftest import strict
+from doubles import Double, with_arrays
+from jsonschema import Draft202012Validator, ValidationError
+
+SCHEMA = json.loads(resources.files("validation").joinpath("results.schema.json").read_text(encoding="utf-8"))
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+def closed(schema: Any) -> Any:
+    """The same, but a field that it does not know is wrong."""
+    if isinstance(schema, list):
+        return [closed(entry) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {key: closed(entry) for key, entry in schema.items()}
+    return found | {"additionalProperties": False} if isinstance(schema.get("properties"), dict) else found
+
+
+STRICT = Draft202012Validator(closed(SCHEMA))
+
+
+def properties(schema: Any) -> set[str]:
+    if isinstance(schema, list):
+        return set().union(*map(properties, schema))
+    if not isinstance(schema, dict):
+        return set()
+    named = schema.get("properties", {})
+    return {*named}.union(*map(properties, schema.values()))
+
+
+def holes(arrays: doubles.Arrays) -> None:
+    one_pixel(arrays)
+    arrays["depth"][3, 3] = np.nan
+    arrays["ambient"][20, 30] = np.inf
+
+
+@pytest.fixture
+def record(run: Any, scene: Path, tmp_path: Path, registered: Any) -> Any:
+    """What `validate` finds of renderers that agree, differ, lack a pass and fail."""
+    registered(
+        Double(draw=with_arrays(holes)),
+        Double(name="poor", missing=("normal",)),
+        Double(name="odd", draw=lambda *_: None),
+    )
+    file = tmp_path / "results.json"
+    run("validate", scene, "--renderer", "double,poor,odd,native-f32", "--against", "native-f64", "--json", file)
+    return strict(file.read_text())
+
+
+def test_the_schema_is_one() -> None:
+    Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_validate_keeps_to_it(record: Any, run: Any, scene: Path, tmp_path: Path) -> None:
+    STRICT.validate(record)
+    assert record["verdicts"]
+    assert record["failures"]
+    assert run("validate", scene, *NATIVE, "--json", tmp_path / "right.json").status == 0
+    STRICT.validate(strict((tmp_path / "right.json").read_text()))
+
+
+def test_what_is_wrong_is_found(record: Any) -> None:
+    """It is the schema that says so, and not one that lets all pass."""
+
+    def refused(change: Any) -> None:
+        other = copy.deepcopy(record)
+        change(other)
+        with pytest.raises(ValidationError):
+            STRICT.validate(other)
+
+    refused(lambda other: other.pop("unfinished"))
+    refused(lambda other: other["comparisons"][0].update(max="large"))
+    refused(lambda other: other["comparisons"][0].update(new=1))
+    refused(lambda other: other["verdicts"][0]["groups"][0].update(cause="whim"))
+    refused(lambda other: other["verdicts"][0]["groups"][0]["pixels"].append([1]))
+    refused(lambda other: other["settings"].update(sample="middle"))
+    refused(lambda other: other["notes"].append({"scene": "a"}))
+
+
+def test_a_field_more_is_no_fault_for_readers(record: Any) -> None:
+    Draft202012Validator(SCHEMA).validate(record | {"of a later version": 1})
+
+
+def test_check_and_compare_keep_to_it(run: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")
+    assert run("render", scene, "-o", "mine.ppm", "--max-reflections", 0).status == 0
+    assert run("check", scene, "--image", "mine.ppm", "--json", "check.json").status == 1
+    programs = ("--command", "raytrace {scene}", "--command", "false {scene}")
+    assert run("check", scene, *programs, "--json", "checks.json").status == 3
+    for name in ("a", "b"):
+        assert (
+            run("render", scene, "-o", f"{name}.npz", "--renderer", f"n{'ative' if name == 'a' else 'umpy'}-f64").status
+            == 0
+        )
+    assert run("compare", "a.npz", "b.npz", "--json", "compare.json").status == 1
+    for name in ("check", "checks", "compare"):
+        STRICT.validate(strict(Path(f"{name}.json").read_text()))
+    with pytest.raises(ValidationError):
+        STRICT.validate(strict(Path("check.json").read_text()) | {"left": None})
+
+
+def test_truth_keeps_to_it(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
+    file = tmp_path / "truth.json"
+    tie = SCENES / "spec" / "equal-hits.txt"
+    assert run("truth", scene, tie, "--pixels", 20, "--json", file).status == 0
+    STRICT.validate(strict(file.read_text()))
+    assert run("truth", tie, "--at", 72, 200, "--json", file).status == 0
+    proved = strict(file.read_text())
+    STRICT.validate(proved)
+    assert proved["scenes"][0]["pixels"][0]["ties"]
+    registered(Double(draw=with_arrays(holes)))
+    words = ("--pixels", "all", "--edges", 5, "--size", "16x12", "--json", file)
+    run("truth", scene, "--renderer", "native-f32", *words)
+    STRICT.validate(strict(file.read_text()))
+    registered(Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)), missing=("normal",)))
+    assert run("truth", scene, "--renderer", "double", *words).status == 1
+    wrong = strict(file.read_text())
+    STRICT.validate(wrong)
+    assert wrong["certificates"][0]["misses"]
+    wrong["certificates"][0]["misses"][0].pop("claim")
+    with pytest.raises(ValidationError):
+        STRICT.validate(wrong)
+
+
+def test_the_document_explains_every_field() -> None:
+    told = set(re.findall(r"`(\w+)`", DOCUMENT))
+    assert properties(SCHEMA) - told == set()
+
+
+def test_the_example_in_the_document(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```$", DOCUMENT, re.MULTILINE | re.DOTALL)
+    exec(compile(code, "results.md", "exec"), {})
+    assert capsys.readouterr().out == code.rstrip().rpartition("  # ")[2] + "\n"

@@ -1,0 +1,427 @@
+"""The viewer in the report, used as a reader uses it: modes, values of pixels, filters, links, keys."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import doubles
+import numpy as np
+import pytest
+from doubles import Double, with_arrays
+
+import tracer
+from validation import Settings, validate
+from validation.cli import main
+from validation.renderers.numpy import Reference
+from validation.report.report import Report
+
+pytestmark = pytest.mark.browser
+
+MODES = {"b": "side", "s": "slider", "f": "flip", "d": "diff", "h": "heat", "v": "verdict"}
+
+
+def dented(arrays: doubles.Arrays) -> None:
+    """Wrong in one pixel, and a little in some others."""
+    arrays["beauty"][20, 30] = (0.9, 0.1, 2.5)
+    arrays["beauty"][21, 8:20] += 1e-3
+
+
+def written(folder: Path, *, small: bool = False) -> str:
+    """A report of two scenes, one of which agrees, and three renderers, one with a defect."""
+    page = Report(small=small)
+    scenes = {"scenes/cave.txt": doubles.cave(), "scenes/full.txt": doubles.full()}
+    double = Double(draw=lambda s, p, t: with_arrays(dented if len(s.spheres) == 3 else lambda _: None)(s, p, t))
+    result = validate(scenes, ["native-f32", double], "numpy-f64", on_rendered=page.add)
+    result.command = ["whitted", "validate", "scenes"]
+    return page.write(folder, result).as_uri()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return written(tmp_path_factory.mktemp("report"))
+
+
+def opened(browser: Any, address: str, **options: Any) -> Any:
+    """The page once it shows something; what ends up on the console, or is asked of the network, is kept."""
+    page = browser.new_page(viewport={"width": 1280, "height": 720}, **options)
+    page.complaints = []
+    page.on("console", lambda message: page.complaints.append(message.text))
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.on(
+        "request", lambda asked: asked.url.startswith(("file:", "data:", "blob:")) or page.complaints.append(asked.url)
+    )
+    page.goto(address)
+    page.wait_for_function("document.getElementById('v-stage').dataset.ready")
+    return page
+
+
+@pytest.fixture(params=["light", "dark"])
+def page(request: pytest.FixtureRequest, browser: Any, address: str) -> Iterator[Any]:
+    found = opened(browser, address, color_scheme=request.param)
+    yield found
+    complaints = found.complaints
+    found.close()
+    assert complaints == []
+
+
+def settled(page: Any, **expected: str) -> None:
+    """Wait until the picture on the screen is the one of an address with these entries."""
+    page.wait_for_function(
+        """expected => {
+            const shown = new URLSearchParams(document.getElementById("v-stage").dataset.ready.slice(2));
+            return Object.entries(expected).every(([key, value]) => (shown.get(key) ?? "") === value);
+        }""",
+        arg=expected,
+    )
+
+
+def whole(page: Any) -> None:
+    """Wait until all values of the scene are there."""
+    page.wait_for_function("document.getElementById('v-values').dataset.complete")
+
+
+def colors(page: Any, canvas: int = 0) -> int:
+    """How many colours a canvas has."""
+    count: int = page.evaluate(
+        """index => {
+            const canvas = document.querySelectorAll(".stage canvas")[index];
+            const { width, height } = canvas;
+            const copy = Object.assign(document.createElement("canvas"), { width, height });
+            const context = copy.getContext("2d", { willReadFrequently: true });
+            context.drawImage(canvas, 0, 0);
+            const data = context.getImageData(0, 0, width, height).data;
+            return new Set(new Uint32Array(data.buffer)).size;
+        }""",
+        canvas,
+    )
+    return count
+
+
+def test_it_opens_at_what_is_worst_and_says_why(page: Any) -> None:
+    settled(page, scene="scenes/full.txt", at="30,20", **{"pass": "beauty"})
+    assert page.locator("#v-where").inner_text().startswith("x 30, y 20")
+    verdict = page.locator("#v-values .verdict")
+    assert "unexplained" in verdict.inner_text()
+    assert re.search(r"A double is off in beauty by 1\.7", verdict.inner_text())
+    assert re.search(r"right\s+B numpy-f64", verdict.inner_text())
+    command = page.locator("#v-command").inner_text()
+    assert command == "whitted explain scenes/full.txt 30 20 --renderer double,numpy-f64 --size 64x48"
+
+
+def test_every_mode_shows_something(page: Any) -> None:
+    for key, mode in MODES.items():
+        page.keyboard.press(key)
+        settled(page, mode=mode)
+        assert page.locator(f'#v-modes [data-mode="{mode}"]').get_attribute("aria-pressed") == "true"
+        assert page.locator(".stage canvas").count() == (2 if mode == "side" else 1)
+        assert colors(page) > 2
+    for mode in MODES.values():
+        page.locator(f'#v-modes [data-mode="{mode}"]').click()
+        settled(page, mode=mode)
+    page.keyboard.press("s")
+    settled(page, split="0.5")
+    page.keyboard.press(".")
+    settled(page, split="0.52")
+    page.locator('#v-modes [data-mode="heat"]').click()
+    settled(page, mode="heat")
+    assert page.locator("#v-bar .ticks span").count() >= 2
+    page.locator('#v-modes [data-mode="flip"]').click()
+    settled(page, mode="flip")
+    before = page.locator(".stage figcaption").inner_text()
+    page.keyboard.press("f")
+    settled(page, flipped="1")
+    assert {before, page.locator(".stage figcaption").inner_text()} == {"A  double", "B  numpy-f64"}
+
+
+def test_verdicts_are_told_by_shape_and_words(page: Any) -> None:
+    page.keyboard.press("v")
+    settled(page, mode="verdict")
+    key = page.locator("#v-bar").inner_text()
+    assert "double is off: 13" in key
+    assert "crossed: unexplained, or a known mistake: 13" in key
+    assert page.locator("#v-bar svg g.square").count() == 1
+    page.keyboard.press("Escape")
+    settled(page, at="")
+    told = page.locator("#v-values .verdict").inner_text()
+    assert re.search(r"unexplained\s+13 × double", told)
+    page.keyboard.press("n")
+    page.wait_for_function("/at=\\d/.test(location.hash)")
+
+
+def test_edges_are_outlined_in_every_line_style(page: Any) -> None:
+    page.locator("#v-a").select_option(label="native-f32")
+    settled(page, a="native-f32")
+    before = colors(page)
+    page.keyboard.press("o")
+    settled(page, edges="1")
+    kinds = page.locator("#v-kinds > span")
+    assert [kinds.nth(k).inner_text().strip() for k in range(4)] == ["silhouette", "range", "order", "terminator"]
+    dashes = {line.get_attribute("stroke-dasharray") for line in page.locator("#v-kinds line").all()}
+    assert len(dashes) == kinds.count()
+    assert colors(page) != before
+
+
+def values(page: Any, renderer: str, name: str) -> dict[str, float]:
+    """What the inspector says, by channel."""
+    cells = page.locator(f'td.value[data-renderer="{renderer}"][data-pass="{name}"]')
+    found = {}
+    for cell in cells.all():
+        text = cell.evaluate(
+            "cell => [...cell.childNodes].filter(n => n.nodeName !== 'SPAN').map(n => n.textContent).join('')"
+        )
+        found[cell.get_attribute("data-channel")] = float(text.strip().replace("∞", "inf"))
+    return found
+
+
+def test_the_inspector_shows_the_values_of_the_arrays(browser: Any, tmp_path: Path, scene: Path) -> None:
+    options = ["--renderer", "native-f64,native-f32", "--against", "numpy-f64", "--size", "40x30"]
+    with pytest.raises(SystemExit) as status:
+        main(["validate", str(scene), *options, "--report", str(tmp_path / "out")])
+    assert status.value.code == 0
+    loaded = tracer.load(scene)
+    loaded = loaded.replace(view=loaded.view.replace(columns=40, rows=30))
+    every = tracer.passes.names(len(loaded.lights), margins=False)
+    drawn = {
+        "native-f64": tracer.render(loaded, passes=every),
+        "native-f32": tracer.render(loaded, passes=every, precision="f32"),
+        "numpy-f64": Reference("f64").render(loaded, every, Settings()),
+    }
+    page = opened(browser, (tmp_path / "out" / "index.html").as_uri())
+    whole(page)
+    base = page.evaluate("location.hash") or page.locator("#v-stage").get_attribute("data-ready")
+    for x, y in ((0, 0), (39, 29), (17, 14), (23, 16), (30, 9)):
+        page.evaluate("hash => { location.hash = hash }", re.sub("&at=[^&]*", "", base) + f"&at={x},{y}")
+        page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+        whole(page)
+        page.wait_for_function("!document.querySelector('#v-values').innerText.includes('…')")
+        for renderer, passes in drawn.items():
+            for name in every:
+                expected = np.atleast_1d(passes[name][y, x]).tolist()
+                shown = values(page, renderer, name)
+                if passes[name].dtype == np.float32:
+                    shown = {channel: float(np.float32(value)) for channel, value in shown.items()}
+                assert [*shown.values()] == expected, (x, y, renderer, name)
+    assert page.complaints == []
+    page.close()
+
+
+def test_differences_and_levels_are_those_of_the_values(page: Any) -> None:
+    whole(page)
+    rows = page.locator("#v-values table.values").first.locator("tbody tr.pair")
+    cells = [[cell.inner_text() for cell in row.locator("td").all()] for row in rows.all()]
+    assert cells[0][-1] == "229"  # 0.9 * 255, truncated
+    assert cells[4][-1] == "255"
+    reference = float(cells[5][0])
+    assert float(cells[5][1]) == pytest.approx(reference - 2.5, rel=1e-2)
+    assert float(cells[5][2]) == pytest.approx((2.5 - reference) / 2.5, rel=1e-2)
+    apart = int(np.float64(2.5).view(np.int64)) - int(np.float64(reference).view(np.int64))
+    assert float(cells[5][3].removesuffix("64").strip()) == pytest.approx(apart, rel=0.06)
+
+
+def test_a_link_restores_everything(browser: Any, page: Any) -> None:
+    page.locator("#v-pass").select_option("depth")
+    page.keyboard.press("Escape")
+    page.keyboard.press("s")
+    page.keyboard.press("o")
+    page.locator("#v-stage").focus()
+    for key in ("+", "+", "ArrowRight", "ArrowDown", "ArrowDown", "e"):
+        page.keyboard.press(key)
+    page.locator("#v-search").fill("full")
+    settled(page, **{"pass": "depth", "mode": "slider", "find": "full", "edges": "1", "exposure": "0.5"})
+    page.wait_for_function("location.hash === document.getElementById('v-stage').dataset.ready")
+    link = page.evaluate("location.href")
+    assert "zoom=" in link
+    again = opened(browser, link)
+    assert again.locator("#v-stage").get_attribute("data-ready") == page.locator("#v-stage").get_attribute("data-ready")
+    assert again.locator("#v-search").input_value() == "full"
+    assert again.locator("#v-where").inner_text() == page.locator("#v-where").inner_text()
+    again.close()
+
+
+def test_addresses_that_say_nonsense_are_taken_as_far_as_they_make_sense(browser: Any, address: str) -> None:
+    odd = ("#/scene=none&pass=x", "#/at=-1,9999&zoom=NaN&a=nobody&mode=upside", "#/scene=%zz")
+    for hash in ("#/", "#nowhere", "#%zz", *odd):
+        page = opened(browser, address + hash)
+        assert colors(page) > 2
+        assert page.complaints == []
+        page.close()
+
+
+def names(page: Any) -> list[str]:
+    return [entry.inner_text() for entry in page.locator("#v-scenes b").all()]
+
+
+def test_filters_and_failures_first(page: Any) -> None:
+    assert names(page) == ["full.txt", "cave.txt"]
+    page.locator("#v-failed").check()
+    page.wait_for_function("document.querySelectorAll('#v-scenes li').length === 1")
+    assert names(page) == ["full.txt"]
+    page.locator("#v-filter-pass").select_option("depth")
+    page.wait_for_function("document.querySelectorAll('#v-scenes li').length === 0")
+    page.locator("#v-failed").uncheck()
+    page.wait_for_function("document.querySelectorAll('#v-scenes li').length === 2")
+    page.locator("#v-filter-pass").select_option("")
+    page.locator("#v-filter-renderer").select_option("native-f32")
+    page.locator("#v-search").fill("CAV")
+    page.wait_for_function("document.querySelectorAll('#v-scenes li').length === 1")
+    assert names(page) == ["cave.txt"]
+    assert re.search(r"all \d+ agree", page.locator("#v-scenes").inner_text())
+
+
+def test_keys(page: Any) -> None:
+    page.keyboard.press("ArrowDown")
+    settled(page, scene="scenes/cave.txt")
+    page.keyboard.press("ArrowUp")
+    settled(page, scene="scenes/full.txt")
+    page.keyboard.press("2")
+    settled(page, **{"pass": "ambient"})
+    page.keyboard.press("ArrowRight")
+    settled(page, **{"pass": "diffuse"})
+    page.keyboard.press("ArrowLeft")
+    settled(page, **{"pass": "ambient"})
+    page.keyboard.press("x")
+    settled(page, a="numpy-f64", b="double")
+    page.keyboard.press("Enter")
+    page.keyboard.press("ArrowRight")
+    settled(page, at="31,20")
+    page.keyboard.press("Shift+ArrowDown")
+    settled(page, at="31,30")
+    page.keyboard.press("Escape")
+    settled(page, at="")
+    page.keyboard.press("?")
+    assert page.locator("#v-help").is_visible()
+    page.keyboard.press("Escape")
+    assert not page.locator("#v-help").is_visible()
+    page.keyboard.press("/")
+    page.keyboard.type("hsd")
+    settled(page, mode="side", find="hsd")
+
+
+def test_the_pointer_chooses_zooms_and_drags(page: Any) -> None:
+    page.keyboard.press("f")
+    page.keyboard.press("Escape")
+    settled(page, mode="flip", at="")
+    canvas = page.locator(".stage canvas")
+    box = canvas.bounding_box()
+    scale = float(page.locator("#v-zoom").inner_text().removesuffix("×"))
+    left, top = box["x"] + box["width"] / 2 - 32 * scale, box["y"] + box["height"] / 2 - 24 * scale
+    page.mouse.move(left + 10.5 * scale, top + 5.5 * scale)
+    page.wait_for_function("document.getElementById('v-values').dataset.at === '10,5'")
+    page.mouse.down()
+    page.mouse.up()
+    settled(page, at="10,5")
+    page.mouse.wheel(0, -480)
+    page.wait_for_function("parseFloat(document.getElementById('v-zoom').textContent) > 30")
+    page.mouse.move(left + 20.5 * scale, top + 5.5 * scale)
+    page.mouse.move(left + 10.5 * scale, top + 5.5 * scale)
+    page.mouse.down()
+    page.mouse.move(left + 12.5 * scale, top + 9.5 * scale, steps=4)
+    page.mouse.up()
+    assert "at=10%2C5" in page.locator("#v-stage").get_attribute("data-ready"), "a drag does not choose"
+
+
+def test_the_summary_leads_to_comparisons(page: Any) -> None:
+    page.locator("#v-summary-open").click()
+    dialog = page.locator("#v-summary")
+    assert dialog.locator("td.bad").count() == 1
+    assert "whitted validate scenes" in dialog.inner_text()
+    dialog.locator('a[href*="pass=normal"]').first.click()
+    settled(page, **{"pass": "normal"})
+    assert not dialog.is_visible()
+
+
+def test_the_report_in_plain_words_is_one_click_away_and_back(page: Any) -> None:
+    page.keyboard.press("h")
+    settled(page, mode="heat")
+    page.locator("#v-report").click()
+    page.locator("#report h1").wait_for(state="visible")
+    assert not page.locator("#viewer").is_visible()
+    page.locator("#report .kicker a").click()
+    page.locator("#viewer").wait_for(state="visible")
+    settled(page, mode="heat")
+
+
+def test_text_of_the_viewer_has_contrast_and_controls_have_names(page: Any) -> None:
+    whole(page)
+    poor = page.evaluate(
+        """() => {
+        const parse = text => text.match(/[\\d.]+/g).map(Number);
+        const light = ([r, g, b]) => {
+            const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+            const [x, y, z] = [r, g, b].map(v => linear(v / 255));
+            return 0.2126 * x + 0.7152 * y + 0.0722 * z;
+        };
+        const ground = element => {
+            for (let at = element; at; at = at.parentElement) {
+                const color = parse(getComputedStyle(at).backgroundColor);
+                if (color.length === 3 || color[3] > 0) return color;
+            }
+            return [255, 255, 255];
+        };
+        const poor = [];
+        for (const element of document.querySelectorAll("#viewer *")) {
+            if (!element.innerText?.trim() || !element.checkVisibility() || element.disabled) continue;
+            const both = [parse(getComputedStyle(element).color), ground(element)];
+            const [a, b] = both.map(light).sort((x, y) => y - x);
+            if ((a + 0.05) / (b + 0.05) < 4.5) poor.push(element.tagName + "." + element.className);
+        }
+        return [...new Set(poor)];
+    }"""
+    )
+    assert poor == []
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll("#viewer button, #viewer select, #viewer input")].filter(element =>
+            ![element.getAttribute("aria-label"), element.textContent, element.labels?.[0]?.textContent].join("").trim()
+        ).map(element => element.id)"""
+    )
+    assert nameless == []
+
+
+def test_nothing_is_wider_than_the_window(page: Any) -> None:
+    for width, height in ((1280, 720), (1920, 1080)):
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate("document.documentElement.scrollHeight") <= height
+        assert page.locator(".stage canvas").first.bounding_box()["height"] > 200
+
+
+def test_without_a_script_the_report_is_there(browser: Any, address: str) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(address)
+    assert not page.locator("#viewer").is_visible()
+    assert page.locator("#report h1").is_visible()
+    assert page.locator("#report table.summary").first.is_visible()
+    assert page.locator("#report details.pass[open] img").first.is_visible()
+    context.close()
+
+
+def test_a_small_report_has_pictures_alone_and_says_so(browser: Any, tmp_path: Path) -> None:
+    page = opened(browser, written(tmp_path, small=True))
+    for key, mode in MODES.items():
+        page.keyboard.press(key)
+        settled(page, mode=mode)
+        assert ("no float data" in page.locator(".stage figcaption").first.inner_text()) == (mode == "diff")
+        assert mode == "diff" or colors(page) > 20
+    assert "--small" in page.locator("#v-values .missing").inner_text()
+    assert page.locator("#v-values td.value").count() == 0
+    assert "unexplained" in page.locator("#v-values .verdict").inner_text()
+    assert page.locator("#v-exposure").is_disabled()
+    assert page.locator('script[type^="application/octet-stream"]').count() == 0
+    assert page.complaints == []
+    page.close()
+
+
+def test_numbers_of_the_inspector(page: Any) -> None:
+    found = page.evaluate(
+        """async () => {
+            const { digits, ulps, level } = await import("viewer/inspector.js");
+            return [digits(Math.fround(0.1), true), digits(0.1, false), digits(-0, true), digits(Infinity, true),
+                ulps(1, 1 + 2 ** -52, true), ulps(1, 1 + 2 ** -23, false), ulps(0, 2 ** -149, false),
+                ulps(-0, 0, false), level(0.999, false), level(-1, false), level(7, true)];
+        }"""
+    )
+    assert found == ["0.1", "0.1", "-0", "∞", -1, -1, -1, 0, 254, 0, 255]

@@ -1,0 +1,119 @@
+"""Where the results of a command go: files that are whole after every scene, and what is kept of what ends early."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from validation.commands.errors import StoppedError
+from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
+
+if TYPE_CHECKING:
+    from validation.run import Validation
+
+#: Between scenes no more than this share of the time goes into writing files that are written again.
+SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What `results_options` were told."""
+
+    report: Path | None
+    small: bool
+    open_report: bool
+    json_file: Path | None
+    junit: Path | None
+    markdown: Path | None
+
+    @classmethod
+    def of(cls, options: dict[str, Any]) -> Outputs:
+        """Take them from the options of a command."""
+        return cls(**{field.name: options.pop(field.name) for field in fields(cls)})
+
+    @property
+    def files(self) -> list[Path]:
+        """Besides the report."""
+        return [file for file in (self.json_file, self.junit, self.markdown) if file]
+
+
+class Results:
+    """The files of one run. Each is written beside its place and renamed: what is there is always whole."""
+
+    def __init__(self, ctx: click.Context, command: Sequence[str], outputs: Outputs) -> None:
+        """See first whether they can be written."""
+        check_open(outputs.report, wanted=outputs.open_report)
+        for file in outputs.files:
+            writable(file)
+        self._command, self._outputs = command, outputs
+        self.page = page_in(ctx, outputs.report, small=outputs.small) if outputs.report else None
+        self.kept: Validation | None = None
+        self._record: Callable[[], Mapping[str, Any]] | None = None
+        self._written, self._took = -float("inf"), 0.0
+
+    def scene(self, result: Validation, record: Callable[[], Mapping[str, Any]] | None = None) -> None:
+        """One more scene is finished; `record`: makes what the JSON has, where that is not the record of the result."""
+        result.command = self._command
+        self.kept, self._record = result.snapshot(), record
+        if self.kept.unfinished and time.monotonic() - self._written >= self._took / SHARE:
+            self._write_kept(self.kept)
+
+    def _write_kept(self, kept: Validation) -> list[Path]:
+        return self.write(kept, self._record() if self._record and self._outputs.json_file else None)
+
+    def write(self, result: Validation, record: Mapping[str, Any] | None = None) -> list[Path]:
+        """Write all files, and return their paths; `record`: what the JSON has, None: that of the result."""
+        start, to, paths = time.monotonic(), self._outputs, []
+        if to.json_file:
+            record = result.record() if record is None else record
+            write_text(to.json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        if to.junit:
+            from validation.junit import junit
+
+            write_text(to.junit, junit(result))
+        if to.markdown:
+            from validation.markdown import write_markdown
+
+            write_markdown(to.markdown, result)
+        paths = to.files
+        if self.page and to.report:
+            paths.append(self.page.write(to.report, result))
+        self._written = time.monotonic()
+        self._took = self._written - start
+        return paths
+
+    def finish(self, result: Validation, record: Mapping[str, Any] | None = None) -> None:
+        """All is done: write, and say where the report is."""
+        self.write(result, record)
+        if self._outputs.report:
+            page = self._outputs.report / "index.html"
+            click.echo(page)
+            if self._outputs.open_report:
+                open_page(page)
+
+    @contextmanager
+    def keeping(self, tell: Callable[[Validation], None]) -> Iterator[None]:
+        """Ctrl-C in here: what is finished is told and goes into the files, and the error says so."""
+        try:
+            yield
+        except KeyboardInterrupt as error:
+            if self.kept is None:
+                asked = self._outputs.files or self.page
+                raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
+            tell(self.kept)
+            raise StoppedError(self._keep(self.kept)) from error
+
+    def _keep(self, kept: Validation) -> str:
+        """Write what is finished, and return what to say about it."""
+        paths, every = self._write_kept(kept), len(kept.scenes)
+        done = f"{every - len(kept.unfinished)} of {every} {kept.parts}s"
+        *some, last = map(str, paths) if paths else ("",)
+        files = f"{', '.join(some)} and {last}" if some else last
+        return f"kept {files} with {done}" if paths else f"{done} were finished"

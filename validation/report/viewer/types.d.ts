@@ -1,0 +1,124 @@
+// The shape of the JSON that validation/report/data.py writes, and what the standard library of the checker lacks.
+
+/** A number; JSON has no token for those that are not finite. */
+type Num = number | "inf" | "-inf" | "nan";
+
+interface StoredPass {
+  channels: number;
+  prediction: "planar" | "first" | "sum" | "ray" | "surface";
+  parts: string[];
+  guides: string[];
+  wide: boolean;
+  based: boolean;
+  rest: boolean;
+}
+
+interface RendererEntry {
+  name: string;
+  precision: "f64" | "f32";
+  passes: Record<string, StoredPass>;
+  exact: Record<string, Record<string, Num[]>>;
+}
+
+interface Comparison {
+  ok: boolean;
+  reason?: string;
+  max: Num | null;
+  ratio: Num | null;
+  tolerance: Num | null;
+  interior: number;
+  interior_over: number;
+  edge: number;
+  edge_over: number;
+  worst: { x: number; y: number; channel: string; a: Num; b: Num } | null;
+  flags: string;
+  picture_a?: string;
+  picture_b?: string;
+  picture_heat?: string;
+  how?: string;
+  ticks?: [number, string][];
+}
+
+type Mark = "cross" | "square" | "circle" | "both" | "dot";
+
+interface Finding {
+  renderer: string;
+  right: boolean;
+  cause: string;
+  explained: boolean;
+  says: string;
+  because: string;
+  errors: Record<string, Num>;
+}
+
+interface Verdict {
+  x: number;
+  y: number;
+  mark: Mark;
+  edge: boolean;
+  passes: string[];
+  explained: boolean;
+  row: string;
+  findings: [Finding, Finding];
+}
+
+interface Pair {
+  a: number;
+  b: number;
+  anchor: string;
+  ok: boolean;
+  passes: Record<string, Comparison>;
+  differ: number;
+  verdicts: Verdict[];
+  unproved: [number, number][];
+}
+
+interface SceneEntry {
+  key: string;
+  label: string;
+  size: [number, number];
+  text: string;
+  spheres: string[];
+  lights: string[];
+  options: string;
+  margins: string[];
+  rays: [number, number, number, number, number];
+  surfaces: number[][];
+  floats: boolean;
+  whole: boolean;
+  renderers: RendererEntry[];
+  pairs: Pair[];
+  truths: Record<string, Record<string, Num[]>>;
+}
+
+interface PassRow {
+  name: string;
+  channels: string;
+  quantity: "color" | "visibility" | "length" | "position" | "normal" | "id" | "margin";
+}
+
+interface Run {
+  headline: string;
+  ok: boolean;
+  command: string;
+  versions: Record<string, string>;
+  small: boolean;
+  causes: Record<string, string>;
+  kinds: Record<string, number>;
+  table: PassRow[];
+  scenes: SceneEntry[];
+}
+
+/** One pass of one renderer, channel after channel: value i of channel c of n pixels stands at c * n + i. */
+interface Plane {
+  values: Float32Array | Float64Array;
+  channels: number;
+  /** Whether these are the renderer's own numbers, and not float64 rounded to float32. */
+  exact: boolean;
+}
+
+interface DecompressionStream {
+  readonly readable: ReadableStream<Uint8Array>;
+  readonly writable: WritableStream<Uint8Array>;
+}
+declare var DecompressionStream: { new (format: "deflate" | "deflate-raw" | "gzip"): DecompressionStream };
