@@ -84,7 +84,7 @@ def wide(browser: Any, tmp_path: Path) -> Iterator[Any]:
 
 
 def test_a_table_of_every_pass_fits(wide: Any) -> None:
-    table = wide.locator("#report .wide")
+    table = wide.locator("#report .wide:not(.plainly)")
     assert table.locator("thead th").count() == 19
     assert table.evaluate("box => box.scrollWidth <= box.clientWidth")
     wide.set_viewport_size({"width": 420, "height": 900})
@@ -111,6 +111,28 @@ def test_a_link_of_the_summary_opens_its_pass(page: Any) -> None:
     assert closed.evaluate("details => details.open") is False
     page.locator(f'table.summary a[href="#{name}"]').click()
     page.wait_for_function("name => document.getElementById(name).open", arg=name)
+
+
+def test_a_link_of_the_summary_leads_to_the_numbers_of_a_pass_without_pictures(wide: Any) -> None:
+    row = wide.locator(".agreeing tbody tr").first
+    name = row.get_attribute("id")
+    wide.locator(f'table.summary a[href="#{name}"]').click()
+    assert wide.evaluate("document.querySelector(':target').id") == name
+    assert row.is_visible()
+    assert len(row.locator("td").all_inner_texts()) == row.locator("xpath=../../thead//th").count() - 1
+
+
+def test_the_report_is_there_where_the_modules_of_the_viewer_do_not_run(
+    browser: Any, address: str, tmp_path: Path
+) -> None:
+    text = Path(address.removeprefix("file://").removesuffix("#report")).read_text(encoding="utf-8")
+    broken = tmp_path / "index.html"
+    broken.write_text(text.replace('import "viewer/main.js"', 'import "viewer/none.js"'), encoding="utf-8")
+    page = browser.new_page()
+    page.goto(broken.as_uri())
+    assert page.locator("#report h1").is_visible()
+    assert not page.locator("#viewer").is_visible()
+    page.close()
 
 
 def test_failures_are_open_and_marked(page: Any) -> None:

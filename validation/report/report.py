@@ -76,6 +76,11 @@ class PassView:
     worst_row: Row | None = None
 
     @property
+    def tabled(self) -> bool:
+        """Whether its numbers are all there is to show without a script."""
+        return self.comparison.ok and self.a is None
+
+    @property
     def count(self) -> int:
         """Pictures that the page shows of it."""
         return sum(shown is not None for shown in (self.a, self.b, self.heat))
@@ -121,6 +126,16 @@ class SceneView:
     def picture(self) -> Shown:
         """What lies under the map of verdicts: `beauty`, or the first pass that there is."""
         return self.thumbnail or next(view.a for view in self.passes if view.a)
+
+    @property
+    def pictured(self) -> list[PassView]:
+        """Passes that the page shows pictures of, or tells why it has none."""
+        return [view for view in self.passes if not view.tabled]
+
+    @property
+    def tabled(self) -> list[PassView]:
+        """The others: a row of a table each."""
+        return [view for view in self.passes if view.tabled]
 
     @property
     def failed(self) -> int:
@@ -294,6 +309,7 @@ class Report:
             judged=judged(result.verdicts),
             lines=self._lines(),
             lines_shown=LINES,
+            small=self._data.small,
             rows_shown=ROWS,
             causes=CAUSES,
             shapes=SHAPES,

@@ -648,6 +648,7 @@ function route() {
   const plain = location.hash === "#report" || (target !== null && report.contains(target));
   viewer.hidden = plain;
   report.hidden = !plain;
+  document.documentElement.classList.remove("opening");
   document.documentElement.classList.toggle("viewing", !plain);
   if (plain) return;
   summary.close();
