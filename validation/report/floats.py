@@ -16,7 +16,9 @@ A base is the difference from a prediction, of the bits as integers in the order
 from __future__ import annotations
 
 import base64
+import os
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -128,9 +130,10 @@ def store(passes: Passes, source: Source | None, guide: Guide | None = None) -> 
     planes = {name: _planes(array) for name, array in passes.items()}
     with np.errstate(over="ignore", invalid="ignore"):
         bases = {name: plane.astype(np.float32) for name, plane in planes.items()}
-    found: dict[str, Stored] = {}
     own = Source()
-    for name, plane in planes.items():
+
+    def stored(name: str) -> Stored:
+        plane = planes[name]
         parts = parts_of(name, [*planes])
         order = ordered(bases[name])
         own.bases[name] = order
@@ -166,8 +169,11 @@ def store(passes: Passes, source: Source | None, guide: Guide | None = None) -> 
             text = pack(rest, exceptions)
         used = parts if how == "sum" or (wide and not based) else ()
         guides = guides if how in ("ray", "surface") else ()
-        found[name] = Stored(plane.shape[0], how, pack(residuals[how]), text, used, guides, wide, based)
-    return found, own
+        return Stored(plane.shape[0], how, pack(residuals[how]), text, used, guides, wide, based)
+
+    # Compression leaves the interpreter to others.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return dict(zip(planes, pool.map(stored, planes), strict=True)), own
 
 
 def store_margins(margins: Mapping[str, NDArray[Any]]) -> str:
