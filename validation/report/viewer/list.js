@@ -55,8 +55,9 @@ export function result(scene, onlyPass, onlyRenderer) {
 
 /** @param {Result} found */
 function told(found) {
-  const error = found.worst ? number(found.worst.max) : NaN;
-  const worst = found.worst ? `largest error ${brief(error)} in ${found.pass}` : "";
+  // Worst is what is nearest to its tolerance, or farthest beyond, as errors of lengths and colours are no match.
+  const share = found.ratio > 0 ? `, ${brief(found.ratio)} × its tolerance` : "";
+  const worst = found.worst ? `worst: ${found.pass}, off by ${brief(number(found.worst.max))}${share}` : "";
   if (!found.made) return { bad: false, chip: "not compared", worst: "" };
   if (found.differ) return { bad: true, chip: `${found.differ} of ${found.made} differ`, worst };
   if (found.wrong) return { bad: true, chip: `${found.wrong} ${found.wrong === 1 ? "pixel" : "pixels"} unexplained or wrong`, worst };
