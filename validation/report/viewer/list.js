@@ -55,9 +55,10 @@ export function result(scene, onlyPass, onlyRenderer) {
 
 /** @param {Result} found */
 function told(found) {
-  // Worst is what is nearest to its tolerance, or farthest beyond, as errors of lengths and colours are no match.
-  const share = found.ratio > 0 ? `, ${brief(found.ratio)} × its tolerance` : "";
-  const worst = found.worst ? `worst: ${found.pass}, off by ${brief(number(found.worst.max))}${share}` : "";
+  // Worst is the interior pixel nearest to its tolerance, or farthest beyond: errors of lengths and colours are no match.
+  const tolerance = number(found.worst?.tolerance ?? null);
+  const off = tolerance > 0 ? `${brief(found.ratio * tolerance)}, ${brief(found.ratio)} × its tolerance` : "";
+  const worst = found.worst ? `worst: ${found.pass}, off by ${off || brief(number(found.worst.max))}` : "";
   if (!found.made) return { bad: false, chip: "not compared", worst: "" };
   if (found.differ) return { bad: true, chip: `${found.differ} of ${found.made} differ`, worst };
   if (found.wrong) return { bad: true, chip: `${found.wrong} ${found.wrong === 1 ? "pixel" : "pixels"} unexplained or wrong`, worst };
