@@ -6,7 +6,7 @@ PACKAGES := git make g++ python3-dev python3-venv
 NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
 CPUS := $(shell nproc 2>/dev/null || echo 2)
 
-.PHONY: help demo regression certify test lint clean install always
+.PHONY: help demo regression certify test lint docs clean install always
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make certify     prove pixels of the bundled scenes and hold our renderers against them"
 	@echo "make test        run the whole test suite"
 	@echo "make lint        ruff, mypy, import-linter, clang-format, and C++ without a warning"
+	@echo "make docs        draw every generated picture of docs/ with the commands of this project"
 	@echo "make clean       remove everything that the other targets made"
 
 # The system packages, checked by what they bring.
@@ -83,6 +84,10 @@ lint: install
 	PATH="$(abspath $(BIN)):$$PATH" cmake -S . -B build/lint -G Ninja -DWHITTED_WERROR=ON -DWHITTED_PYTHON=ON \
 		-DPython_EXECUTABLE="$(abspath $(BIN))/python" -Dnanobind_DIR="$$($(BIN)/python -m nanobind --cmake_dir)" >/dev/null
 	PATH="$(abspath $(BIN)):$$PATH" cmake --build build/lint --target raytrace _native
+
+# Screenshots need Chromium; the plot of speed is measured anew with SPEED=1 alone: it depends on the machine.
+docs: install
+	$(BIN)/python docs/pictures.py
 
 clean:
 	rm -rf $(VENV) build dist report tracer/_native.pyi .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
