@@ -114,7 +114,7 @@ def camera(folder: Path) -> None:
     draw.text(add(eye, d, second), "from inside", dx=10, dy=12, color=RED)
     draw.text((2.2, -1.75), f"hollow: t = {first:.2f} is before the window and does not count", dx=-40, dy=4, color=RED)
     draw.dot(eye)
-    draw.text(eye, "eye, the origin", dx=-16, dy=22)
+    draw.text(eye, "eye, the origin", dx=-30, dy=36)
     draw.line((0, -1.75), (1.0, -1.75), arrow=True, color=SOFT)
     draw.text((1.0, -1.75), "-z", dx=6, dy=4, color=SOFT)
 
@@ -339,7 +339,7 @@ def mirrors(folder: Path) -> None:
         origin, d = x, add(d, normal, -2 * dot(d, normal))
     else:
         draw.line(origin, add(origin, d, 0.5), color=SOFT, dash="3 3")
-        draw.text(add(origin, d, 0.5), "a fourth is not sent", dx=-4, dy=-8, color=SOFT, anchor="middle")
+        draw.text(add(origin, d, 0.5), "a fourth is not sent", dx=8, color=SOFT)
     draw.write(folder / "mirrors.svg")
 
 

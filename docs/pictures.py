@@ -61,7 +61,7 @@ def screenshots(folder: Path) -> None:
         return
     from playwright.sync_api import sync_playwright
 
-    check = ("whitted", "check", "first.txt", "--command", "python3 tiny.py {scene}", "--verdicts", "40")
+    check = ("whitted", "check", "first.txt", "--command", "python3 tiny.py {scene}", "--verdicts", "20")
     run(*check, "--report", "report", folder=folder, expected=(1,))
     address = (folder / "report" / "index.html").as_uri()
     with sync_playwright() as playwright:
@@ -70,7 +70,7 @@ def screenshots(folder: Path) -> None:
 
         def shot(path: Path, colors: int, selector: str | None = None, **state: str) -> None:
             page.goto("about:blank")
-            page.goto(f"{address}#/{urlencode({'scene': 'first.txt', 'at': '64,35', **state})}")
+            page.goto(f"{address}#/{urlencode({'scene': 'first.txt', 'at': '35,39', **state})}")
             page.wait_for_function("document.getElementById('v-values').dataset.complete")
             page.wait_for_timeout(500)
             if state.get("press"):
@@ -94,6 +94,9 @@ def smaller(svg: str) -> str:
     svg = re.sub(r"<!--.*?-->\n?", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!DOCTYPE[^>]*>\n?", "", svg)
     svg = re.sub(r"-?\d+\.\d{2,}", lambda found: f"{float(found[0]):.1f}".removesuffix(".0"), svg)
+    svg = svg.replace("; font-family: 'DejaVu Sans'", "")
+    style = "text{font-family: 'DejaVu Sans', sans-serif}"
+    svg = svg if style in svg else svg.replace("</style>", f"{style}</style>", 1)
     return re.sub(r"\s*\n\s*", " ", re.sub(r">\s*\n\s*<", "><", svg)).strip() + "\n"
 
 

@@ -42,6 +42,9 @@ LANGUAGES = {"console", "python", "diff", "text", "toml", "yaml", "xml"}
 NOT_RUN = {
     ("README.md", "make demo"): "builds everything and draws all scenes: .ci/run and the tests of its parts do that",
     ("README.md", "make test"): "is this",
+    ("docs/tutorial.md", "sudo apt-get"): "installs system packages",
+    ("docs/tutorial.md", "make install"): "was done before any test",
+    ("docs/tutorial.md", ". .venv/bin/activate"): "was done before any test",
     ("CONTRIBUTING.md", "cmake"): "needs a compiler and an emulator for another processor",
     ("CONTRIBUTING.md", "qemu-aarch64"): "needs a compiler and an emulator for another processor",
     ("docs/stability.md", "whitted stability   "): "all ladders and renderers: some minutes",
@@ -168,8 +171,6 @@ class Workplace:
             if re.search(rf"--(renderer|against)[ =]\S*\b{name}|^{name} ", command):
                 missing = renderers.get(name).unavailable()
                 self.need(missing is None, f"{command}: {missing}")
-        if "flip" in command:
-            self.need(renderers_flip(), f"{command}: pip install 'whitted[flip]'")
 
     def python(self, text: str) -> None:
         shown = [line.partition("  # ")[2] for line in text.splitlines() if line.lstrip().startswith("print(")]
@@ -205,12 +206,6 @@ class Workplace:
         self.environment["PYTHONPATH"] = str(self.folder)
 
 
-def renderers_flip() -> bool:
-    from importlib.util import find_spec
-
-    return find_spec("flip_evaluator") is not None
-
-
 @pytest.mark.mitsuba
 @pytest.mark.parametrize("part", [*parts()], ids=named)
 def test_every_block_does_what_it_shows(part: tuple[str, tuple[Block, ...]], tmp_path: Path, need) -> None:
@@ -218,6 +213,20 @@ def test_every_block_does_what_it_shows(part: tuple[str, tuple[Block, ...]], tmp
     workplace = Workplace(tmp_path, document, need)
     for block in found:
         workplace.do(block)
+
+
+def test_the_diagrams_are_those_that_make_docs_draws(tmp_path: Path) -> None:
+    code = f"import sys, pathlib, diagrams; diagrams.main(pathlib.Path({str(tmp_path)!r}))"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT / "docs", check=True)
+    drawn = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert drawn == {path.name: path.read_text() for path in (ROOT / "docs" / "figures").glob("*.svg")}
+
+
+def test_nothing_that_looks_like_a_command_is_only_shown() -> None:
+    for document in DOCUMENTS:
+        for block in blocks(document):
+            shows = re.search(r"^\$ ", block.text, re.MULTILINE)
+            assert block.language == "console" or not shows, f"{document}:{block.line}"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
