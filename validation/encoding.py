@@ -86,7 +86,17 @@ class Encoding:
         return same
 
     def either(self, colors: NDArray[Any]) -> list[Levels]:
-        """The levels that colours may have: of a curve two, as no level is as narrow as its roundings are."""
+        """The levels that colours may have: of a curve two, as no level is as narrow as its roundings are.
+
+        Two, too, where a colour is halfway between levels: some programs round that up, others to the even one.
+        """
+        if self.quantisation == "round":
+            levels, values = self.encode(colors), np.asarray(colors, dtype=np.float64)
+            within = (values > 0) & np.isfinite(values) & (self.wraps | (values < 1))
+            scaled = np.where(within, values, 0.0) * self.steps
+            half = np.mod(scaled, 1.0) == 0.5
+            even = np.mod(np.rint(scaled), self.steps + 1).astype(np.int64)
+            return [levels, np.where(half, even, levels)] if half.any() else [levels]
         if not self.curved:
             return [self.encode(colors)]
         return [self.encode(colors, roundings) for roundings in (-CURVE_ROUNDINGS, CURVE_ROUNDINGS)]

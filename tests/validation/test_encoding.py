@@ -81,6 +81,18 @@ def in_floats(name: str, values: Any, number: Any) -> Any:
     return np.floor(curve * number(255) + number(0 if "truncate" in name else 0.5)).astype(np.int64)
 
 
+def test_halfway_between_levels_either_may_be_right() -> None:
+    # Python, NumPy and C's rint round to even, v + 0.5 truncated rounds up; backgrounds of one digit are such colours.
+    values, of = np.array([0.1, 0.3, 0.5, 0.7, 0.9]), Encoding("round")
+    up, even = np.floor(values * 255 + 0.5), np.rint(values * 255)
+    assert (up != even).any()
+    assert of.makes(values, up).all()
+    assert of.makes(values, even).all()
+    assert not of.makes(values, even - 1).any()
+    assert not of.makes(values + 1e-9, np.floor(values * 255)).any()
+    assert not of.makes(np.array([1.5, np.inf, -0.5]), np.array([254, 254, 255])).any()
+
+
 @pytest.mark.parametrize("number", [np.float32, np.float64])
 @pytest.mark.parametrize("name", [name for name in QUANTISATIONS if Encoding(name).curved])
 def test_a_curve_may_be_rounded(name: str, number: Any) -> None:
