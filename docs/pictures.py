@@ -94,7 +94,7 @@ def smaller(svg: str) -> str:
     svg = re.sub(r"<!--.*?-->\n?", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!DOCTYPE[^>]*>\n?", "", svg)
     svg = re.sub(r"-?\d+\.\d{2,}", lambda found: f"{float(found[0]):.1f}".removesuffix(".0"), svg)
-    svg = svg.replace("; font-family: 'DejaVu Sans'", "")
+    svg = re.sub(r"; font-family: 'DejaVu Sans'[^;\"]*", "", svg)
     style = "text{font-family: 'DejaVu Sans', sans-serif}"
     svg = svg if style in svg else svg.replace("</style>", f"{style}</style>", 1)
     return re.sub(r"\s*\n\s*", " ", re.sub(r">\s*\n\s*<", "><", svg)).strip() + "\n"
