@@ -1,7 +1,8 @@
 """`make docs`: every generated picture of the documents, with the project's own commands.
 
-The same bits at every run, but for what the machine decides: the screenshots (its fonts and its Chromium). The plot of
-speed is measured only where that is asked for, with SPEED=1 in the environment; else it stays as it is.
+The same bits at every run, but for what the machine decides: the screenshots (its fonts and its Chromium), and the
+curves of a ladder (Mitsuba's variant). The plot of speed is measured only where that is asked for, with SPEED=1 in the
+environment; else it stays as it is.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ FIGURES = DOCS / "figures"
 
 #: The six ways to look at a pair, and what each file is called.
 MODES = ("side", "slider", "flip", "diff", "heat", "verdict")
+
+#: The ladder that is shown: Mitsuba's own epsilons are seen there.
+LADDER = "blocker-around"
 
 
 def run(*command: str, folder: Path, expected: tuple[int, ...] = (0,), output: Path | None = None) -> None:
@@ -88,6 +92,14 @@ def screenshots(folder: Path) -> None:
         chromium.close()
 
 
+def ladder(folder: Path) -> None:
+    """The curves of one ladder."""
+    command = ("whitted", "stability", "--ladder", LADDER, "--renderer", "native-f64,native-f32,mitsuba-path")
+    run(*command, "--report", "curves", folder=folder)
+    drawn = (folder / "curves" / f"{LADDER}.svg").read_text(encoding="utf-8")
+    (FIGURES / "ladder.svg").write_text(smaller(drawn), encoding="utf-8")
+
+
 def smaller(svg: str) -> str:
     """The same picture in fewer bytes: a tenth of a pixel is enough, and nobody reads the metadata."""
     svg = re.sub(r" *<metadata>.*?</metadata>\n?", "", svg, flags=re.DOTALL)
@@ -119,6 +131,7 @@ def main() -> None:
         for example in ("first.txt", "tiny.py"):
             shutil.copy(DOCS / "examples" / example, folder)
         tutorial(folder)
+        ladder(folder)
         screenshots(folder)
     speed()
 
