@@ -10,6 +10,7 @@ CPUS := $(shell nproc 2>/dev/null || echo 2)
 .DEFAULT_GOAL := help
 
 help:
+	@echo "make install     build everything into .venv, as the other targets do first"
 	@echo "make demo        validate the bundled scenes against Mitsuba and write report/index.html"
 	@echo "make regression  every pass of the bundled scenes against every reference, to build/results-*.json"
 	@echo "make certify     prove pixels of the bundled scenes and hold our renderers against them"
