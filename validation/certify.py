@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, lookup, names
-from validation import metrics, renderers
-from validation.compare import Judge, Mask, Record, json_value
+from validation import metrics, records, renderers
+from validation.compare import Judge, Mask
 from validation.proofs import Pixel, choose, proved_or_not, split
+from validation.records import Record, json_value
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.renderers.floats import UNIT_ROUNDOFF, FloatRenderer
 from validation.run import (
@@ -506,7 +507,8 @@ class Certification(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "certify",
             {
                 "ok": self.status == 0 and not self.interrupted,
                 "interrupted": self.interrupted,
@@ -519,9 +521,8 @@ class Certification(Outcome):
                 "certificates": [certificate.record() for certificate in self.certificates],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
 
 def certify_scenes(

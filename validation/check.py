@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 import tracer
 from tracer.passes import SAMPLES, Passes, Sample
-from validation import images
-from validation.compare import Record
+from validation import images, records
 from validation.encoding import QUANTISATIONS, Encoding
+from validation.records import Record
 from validation.renderers import Settings, Uncertainty, floats
 from validation.renderers.command import PREFIX, Command, Limits, WholeImageError
 from validation.run import (
@@ -584,7 +584,7 @@ class Checked:
     def record(self) -> Record:
         """Everything as strictly valid JSON: that of the comparison, `fit` and `left` before it."""
         fit = self.fit
-        return {
+        fields: Record = {
             "fit": fit
             and {
                 "sample": fit.convention.sample,
@@ -604,6 +604,7 @@ class Checked:
             "ending": self.ending or None,
             **self.validation.record(),
         }
+        return records.result("check", fields)
 
 
 def check(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -28,11 +27,11 @@ import numpy as np
 import tracer
 from tracer import Scene
 from tracer.passes import lookup, write_beside
-from validation import certify, renderers
-from validation.compare import Record, json_value
+from validation import certify, records, renderers
 from validation.minimise import Pixel, Small, minimise, size
 from validation.parting import SUMS
 from validation.random_scenes import Drawn, draw_scene
+from validation.records import Record
 from validation.renderers import Renderer, Settings
 from validation.run import InputError, Note, Outcome, Rendered, RendererError, explain_command, validate, versions
 from validation.terminal import TOO_MANY, colorful, console, print_failures
@@ -511,9 +510,10 @@ class Campaign(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "fuzz",
             {
-                "ok": self.status == 0,
+                "ok": self.status == 0 and not self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
@@ -530,19 +530,17 @@ class Campaign(Outcome):
                 "twists": dict(sorted(self.twists.items())),
                 "kinds": [
                     {
-                        **kind._asdict(),
                         "count": found.count,
                         "scenes": found.scenes,
                         "file": found.path and str(found.path),
                         **_record(found.smallest, self.seed),
                     }
-                    for kind, found in self.kinds.items()
+                    for found in self.kinds.values()
                 ],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
 
 def best() -> list[str]:
@@ -749,7 +747,6 @@ def _save(result: Campaign, failure: Failure, output: Path) -> Path:
     with write_beside(path) as temporary:
         temporary.write_text(scene.text(), encoding="utf-8")
     names = list(dict.fromkeys([failure.renderer, failure.reference]))
-    entry = _record(failure, result.seed) | {"versions": result.versions, "commands": []}
     x, y = failure.at or (0, 0)
     commands = [explain_command(str(path), scene, Settings(), x, y, names)] if failure.at else []
     if len(names) > 1:
@@ -757,9 +754,8 @@ def _save(result: Campaign, failure: Failure, output: Path) -> Path:
     elif failure.kind.what == "disproved":
         commands.append(shlex.join(["whitted", "truth", str(path), "--renderer", names[0], "--pixels", "all"]))
     commands.append(repeat(result.seed, failure.index, names))
-    entry["commands"] = commands
-    with write_beside(path.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(json_value(entry), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    fields = _record(failure, result.seed) | {"versions": result.versions, "commands": commands}
+    records.write(path.with_suffix(".json"), records.result("failure", fields))
     return path
 
 

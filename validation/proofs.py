@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.passes import Passes, lookup, names, write_beside
-from validation.compare import json_value
+from validation import records
 from validation.explain import of_light, of_sphere
 from validation.explain_text import vector, wrapped
 from validation.follow import KINDS, Key
+from validation.records import Record, json_value
 from validation.run import versions
 from validation.terminal import number
 from validation.timing import TimeLeft
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from validation.renderers import Settings
 
 Pixel: TypeAlias = tuple[int, int]
-Record: TypeAlias = dict[str, Any]
 
 #: As a number of pixels: all that there are.
 ALL = sys.maxsize
@@ -298,8 +298,8 @@ def tell(
             if file:
                 file.write(text)
 
-        head = {"command": list(command), "settings": vars(settings).copy(), "versions": by, "seed": seed}
-        write(_json(head).removesuffix("}") + ',\n"scenes": [')
+        fields = {"command": list(command), "settings": vars(settings).copy(), "versions": by, "seed": seed}
+        write(_json(records.result("truth", fields)).removesuffix("}") + ',\n"scenes": [')
         for place, (label, scene) in enumerate(scenes.items()):
             columns, rows = scene.view.columns, scene.view.rows
             at = choose(scene, pixels, seed) if isinstance(pixels, int) else pixels
@@ -328,7 +328,7 @@ def tell(
                 metadata = {"renderer": "truth", "scene": scene.text(), "command": shlex.join(command)}
                 metadata |= {f"version of {key}": value for key, value in by.items()}
                 Passes(image.arrays, metadata).save(output)
-        write("]}\n")
+        write('],\n"interrupted": false}\n')
     return lines
 
 

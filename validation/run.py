@@ -23,9 +23,10 @@ import tracer
 import tracer.margins
 from tracer._render import check_memory as room_for
 from tracer.passes import TABLE, Passes, lookup, names
-from validation import pairs, renderers
-from validation.compare import Comparison, Judge, Record, compare_passes, json_value, without_maps
+from validation import pairs, records, renderers
+from validation.compare import Comparison, Judge, compare_passes, without_maps
 from validation.encoding import Encoding
+from validation.records import Record
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.timing import TimeLeft
 
@@ -189,7 +190,7 @@ class Validation(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        entry: Record = {
+        fields: Record = {
             "ok": self.ok,
             "command": list(self.command),
             "settings": vars(self.settings).copy(),
@@ -202,8 +203,7 @@ class Validation(Outcome):
             "failures": [vars(note).copy() for note in self.failures],
             "unfinished": list(self.unfinished),
         }
-        strict: Record = json_value(entry)
-        return strict
+        return records.result("validate", fields)
 
 
 class SceneFilesError(ValueError):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 import json
+import math
 import os
 import platform
 import random
@@ -24,14 +24,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from tracer.passes import Passes
-from validation import renderers
+from validation import records, renderers
 from validation.certify import Proof, prove_scene
-from validation.compare import Record, json_value
+from validation.records import Record
 from validation.renderers import Settings
 from validation.renderers.mitsuba.mesh import FAMILY, MOST_SUBDIVISIONS, SUBDIVISIONS
 from validation.run import Note, resized, shrink, versions
 from validation.speed_errors import Errors, measure
 from validation.speed_plot import Panel, Point, front
+from validation.timing import now
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -129,6 +130,16 @@ class Measured:
         """Nanoseconds, of a warm picture."""
         return self.warm.median * 1e9 / (self.size[0] * self.size[1])
 
+    @property
+    def rmse(self) -> float:
+        """At the random pixels; infinite where there is none that the specification settles: that is no front."""
+        return math.inf if self.errors.random_rmse is None else self.errors.random_rmse
+
+    @property
+    def spread(self) -> float:
+        """The standard error of that."""
+        return self.errors.random_spread or 0.0
+
     def record(self) -> Record:
         """For JSON."""
         return {
@@ -185,6 +196,7 @@ class Speed:
     kernels: Kernels | None = None
     command: Sequence[str] = ()
     seconds: float = 0.0
+    interrupted: bool = False
 
     @property
     def status(self) -> int:
@@ -194,8 +206,11 @@ class Speed:
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "speed",
             {
+                "ok": self.status == 0 and not self.interrupted,
+                "interrupted": self.interrupted,
                 "command": list(self.command),
                 "machine": self.machine,
                 "versions": self.versions,
@@ -206,9 +221,8 @@ class Speed:
                 "left_out": [vars(note).copy() for note in self.left_out],
                 "failures": [vars(note).copy() for note in self.failures],
                 "kernels": self.kernels.record() if self.kernels else None,
-            }
+            },
         )
-        return strict
 
 
 def threads(count: int) -> str:
@@ -229,7 +243,7 @@ def processors() -> list[int]:
 def machine() -> dict[str, Any]:
     """What decides about times beside the programs."""
     return {
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "date": now(),
         "processor": processor(),
         "processors": len(processors()),
         "memory": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
@@ -544,8 +558,7 @@ class _SceneRun:
             if one.samples:
                 warm, busy = Spread.of(one.samples), Spread.of(one.busy)
                 found.measured.append(Measured(one.entry, size, one.cold, warm, busy, one.memory, off))
-        points = [(m.per_pixel, m.errors.random_rmse) for m in found.measured]
-        best = front(points, [m.errors.random_spread for m in found.measured])
+        best = front([(m.per_pixel, m.rmse) for m in found.measured], [m.spread for m in found.measured])
         marked = [replace(m, front=on) for m, on in zip(found.measured, best, strict=True)]
         found.measured = sorted(marked, key=lambda m: m.per_pixel)
 
@@ -655,8 +668,8 @@ def panels(result: Speed) -> list[Panel]:
                     m.entry.family,
                     m.entry.threads,
                     m.per_pixel,
-                    m.errors.random_rmse,
-                    m.errors.random_spread,
+                    m.rmse,
+                    m.spread,
                 )
                 for m in scene.measured
             ],

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tracer import Light, Scene, Sphere, View
-from validation.compare import Record, json_value
+from validation.records import Record
 from validation.renderers import Settings
 from validation.run import resized
 from validation.speed import Process, Spread, WorkerError, instruction_sets, process, processors
@@ -134,18 +134,15 @@ class Kernels:
             size, wrote, drew = self.written
             written = {"bytes": size, "write": asdict(wrote), "draw": asdict(drew)}
             written["bytes_per_second"] = size / wrote.median
-        strict: Record = json_value(
-            {
-                "scene": self.scene,
-                "rows": [row.record() for row in self.rows],
-                "limits": [limit.record() for limit in self.limits],
-                "fits": {what: asdict(fit) | {"linear": fit.linear} for what, fit in self.fits.items()},
-                "written": written,
-                "left_out": self.left_out,
-                "seconds": self.seconds,
-            }
-        )
-        return strict
+        return {
+            "scene": self.scene,
+            "rows": [row.record() for row in self.rows],
+            "limits": [limit.record() for limit in self.limits],
+            "fits": {what: asdict(fit) | {"linear": fit.linear} for what, fit in self.fits.items()},
+            "written": written,
+            "left_out": self.left_out,
+            "seconds": self.seconds,
+        }
 
 
 def fit(numbers: Sequence[float], times: Sequence[float]) -> Fit:

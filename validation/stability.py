@@ -24,11 +24,12 @@ import numpy as np
 
 import tracer
 from tracer.passes import lookup, write_beside
-from validation import certify, encoding, renderers
+from validation import certify, encoding, records, renderers
 from validation.certify import PROVED, Miss, Proof, prove_scene
-from validation.compare import Judge, Mask, Record, json_value
+from validation.compare import Judge, Mask
 from validation.ladders import LADDERS, SIDE, Ladder, get
 from validation.metrics import Array
+from validation.records import Record
 from validation.renderers import Renderer, Settings
 from validation.renderers.floats import UNIT_ROUNDOFF, uncertainty
 from validation.run import (
@@ -44,7 +45,7 @@ from validation.run import (
     why_not,
 )
 from validation.terminal import colorful, console, number, print_failures
-from validation.timing import TimeLeft
+from validation.timing import TimeLeft, now
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -506,6 +507,7 @@ class Stability(Outcome):
     precisions: Mapping[str, str] = field(default_factory=dict)
     rungs: dict[tuple[str, str], Rung] = field(default_factory=dict)
     files: Mapping[tuple[str, str], Path] = field(default_factory=dict)
+    date: str = field(default_factory=now)
     seconds: float = 0.0
     interrupted: bool = False
 
@@ -576,13 +578,15 @@ class Stability(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "stability",
             {
                 "ok": self.status == 0 and not self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
                 "interrupted": self.interrupted,
+                "date": self.date,
                 "seconds": self.seconds,
                 "renderers": [
                     {"name": name, "precision": self.precisions[name], "seconds": self.drawing(name)}
@@ -594,9 +598,8 @@ class Stability(Outcome):
                 ],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
     def _ladder(self, ladder: Ladder) -> Record:
         def first(name: str, standard: str) -> str | None:

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from validation.acne import acne, scattered
-from validation.compare import json_value
 from validation.court import EXPLAINED, Court, Finding, RulesError, Side
 from validation.parting import Decision
+from validation.records import Record, json_value
 from validation.renderers import Settings
 from validation.truth import NOWHERE, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
-    from validation.compare import Comparison, Record
+    from validation.compare import Comparison
 
 __all__ = [
     "EXPLAINED",

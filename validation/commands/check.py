@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from validation import records
 from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_size, settings_of
@@ -185,9 +186,5 @@ def _together(
     result.unfinished = tuple(unfinished)
     result.scenes = (*results, *unfinished)
     programs = [{"program": name, **entry.record()} for name, entry in results.items()]
-    return result, {
-        "ok": result.ok,
-        "command": [*command],
-        "programs": programs,
-        "unfinished": [*unfinished],
-    }
+    fields = {"ok": result.ok, "command": command, "programs": programs, "unfinished": unfinished}
+    return result, records.result("checks", fields)

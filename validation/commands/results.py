@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from validation import records
 from validation.commands.errors import StoppedError
 from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
 
@@ -73,7 +73,7 @@ class Results:
         start, to, paths = time.monotonic(), self._outputs, []
         if to.json_file:
             record = result.record() if record is None else record
-            write_text(to.json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+            records.write(to.json_file, record)
         if to.junit:
             from validation.junit import junit
 

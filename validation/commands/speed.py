@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
+from validation import records
 from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_size
@@ -18,7 +18,6 @@ from validation.commands.outputs import (
     progressing,
     summing,
     writable,
-    write_text,
 )
 from validation.options import (
     NO_LIMITS,
@@ -144,7 +143,7 @@ def speed(
         with summing():
             print_speed(result)
         if json_file:
-            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+            records.write(json_file, result.record())
         if plot and module.panels(result):
             from validation.speed_plot import write_plot
 

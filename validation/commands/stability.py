@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from validation import records
 from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
@@ -23,7 +23,6 @@ from validation.commands.outputs import (
     progressing,
     summing,
     writable,
-    write_text,
 )
 from validation.commands.signals import ended
 from validation.options import Whole, json_option, loudness_options, names_option, open_option
@@ -141,7 +140,7 @@ def stability(
         else:
             result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
         if json_file:
-            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+            records.write(json_file, result.record())
     if open_report and report and not result.interrupted:
         open_page(report / "index.html")
     if result.interrupted:

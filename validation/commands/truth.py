@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from validation import records
 from validation.commands.errors import AT, FAILED, CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_pixels, check_size, settings_of
-from validation.commands.outputs import command_line, progressing, summing, writable, write_text
+from validation.commands.outputs import command_line, progressing, summing, writable
 from validation.commands.signals import ended
 from validation.options import Count, Place, Size, Whole, json_option, loudness_options, names_option, settings_options
 
@@ -127,7 +127,7 @@ def truth(
             with summing():
                 print_certification(result)
             if json_file:
-                write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+                records.write(json_file, result.record())
     ctx.exit(status)
 
 
