@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from tracer.passes import Passes
 from validation import records, renderers
 from validation.certify import Proof, prove_scene
+from validation.processes import deferred, end
 from validation.records import Record
 from validation.renderers import Settings
 from validation.renderers.mitsuba.mesh import FAMILY, MOST_SUBDIVISIONS, SUBDIVISIONS
@@ -52,8 +53,6 @@ ROUNDS, SECONDS, LIMIT = 15, 1.0, 160.0
 BURST, MOST_IN_BURST = 0.02, 20
 #: Fewer pictures than that have no quartiles.
 LEAST_RUNS = 3
-#: Seconds that a process has to end what it has started.
-MOMENT = 2.0
 #: Seconds that a first picture may take.
 PATIENCE = 90.0
 #: Renderers whose compiler keeps what it made in a folder of the user.
@@ -413,13 +412,10 @@ class Process:
 
     def close(self) -> None:
         """End it, and all that it has started; one that is at work gets a moment to end a program."""
-        if self._asked and self._process.poll() is None:
-            self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(MOMENT)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        pid = self._process.pid
+        with deferred():
+            end([pid], [pid] if self._asked and self._process.poll() is None else [])
+            self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream:
                 with contextlib.suppress(OSError):  # what was not sent
@@ -431,11 +427,14 @@ def process(isa: str = "", cpus: Sequence[int] = (), *, compiles: bool = False) 
     """A process that ends with the block, and all that it has left with it; see Process."""
     folder = Path(tempfile.mkdtemp(prefix="whitted-"))
     try:
-        opened = Process(folder, isa, cpus, compiles=compiles)
+        opened = None
         try:
+            with deferred():
+                opened = Process(folder, isa, cpus, compiles=compiles)
             yield opened
         finally:
-            opened.close()
+            if opened:
+                opened.close()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
