@@ -28,7 +28,7 @@ from validation.random_scenes import Drawn, draw_scene
 from validation.records import Record
 from validation.renderers import Renderer, Settings
 from validation.run import InputError, Note, Outcome, Rendered, RendererError, explain_command, validate, versions
-from validation.terminal import TOO_MANY, colorful, console, print_failures
+from validation.terminal import TOO_MANY, colorful, console, counted, print_failures
 from validation.timing import TimeLeft, duration
 from validation.truth import UnprovedError
 
@@ -438,6 +438,11 @@ class Campaign(Outcome):
             return trouble
         return 1 if self.kinds else 0
 
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{self.done} of {counted(self.asked, 'scene')}"
+
     def add(self, seen: Seen, *, again: bool = False) -> None:
         """Count a scene; `again`: what came of it later."""
         if not again:
@@ -542,8 +547,8 @@ def fuzz(
 
     def tell() -> None:
         if progress:
-            kinds = f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures"
-            progress(f"{result.done} of {scenes} scenes, {kinds}{left.says(result.done)}")
+            kinds = f"{counted(len(result.kinds), 'kind')} of failures"
+            progress(f"{result.progress}, {kinds}{left.says(result.done)}")
 
     tell()
     indices = iter(range(first, first + scenes))
@@ -561,6 +566,8 @@ def fuzz(
                 else:
                     result.fail(Note("", "", value))
     except KeyboardInterrupt:
+        if not result.done:
+            raise
         result.interrupted = True
     result.seconds = time.monotonic() - start
     return result
@@ -725,15 +732,14 @@ def print_campaign(result: Campaign) -> None:
             click.echo(f"{what}: " + ", ".join(f"{name} {count}" for name, count in sorted(counter.items())))
     for kind, found in result.kinds.items():
         text = f"{kind.renderer}: {' '.join(filter(None, (kind.what, kind.pass_name, kind.decision)))}"
-        scenes = f"{found.scenes} scene{'s'[: found.scenes != 1]}"
+        scenes = counted(found.scenes, "scene")
         click.secho(f"{text}: {found.count} in {scenes}: {found.smallest.sentence}", fg="red", color=colorful())
         again = repeat(result.seed, found.smallest.index, (found.smallest.renderer, found.smallest.reference))
         click.echo(f"  {found.path or again}")
     print_failures(result)
     speed = f", {result.seconds / result.done:.2g} s a scene" if result.done else ""
-    end = "interrupted: " if result.interrupted else ""
     click.echo(
-        f"{end}{result.done} of {result.asked} scenes of seed {result.seed} from index {result.first} in "
+        f"{result.progress} of seed {result.seed} from index {result.first} in "
         f"{duration(result.seconds)}{speed}: "
-        + (f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures" if result.kinds else "all explained")
+        + (f"{counted(len(result.kinds), 'kind')} of failures" if result.kinds else "all explained")
     )

@@ -33,6 +33,7 @@ from validation.renderers.mitsuba.mesh import FAMILY, MOST_SUBDIVISIONS, SUBDIVI
 from validation.run import Note, resized, shrink, versions
 from validation.speed_errors import Errors, measure
 from validation.speed_plot import Panel, Point, front
+from validation.terminal import counted
 from validation.timing import now
 from validation.truth import UnprovedError
 
@@ -49,6 +50,7 @@ PIXELS = 400 * 400
 #: Proved pixels: chosen at random, and with the smallest margins.
 RANDOM, EDGES = 400, 50
 ROUNDS, SECONDS, LIMIT = 15, 1.0, 160.0
+LATE = "the time was up: --limit gives more"
 #: A picture within a round is drawn again and again for so long, so that the clock can tell it.
 BURST, MOST_IN_BURST = 0.02, 20
 #: Fewer pictures than that have no quartiles.
@@ -186,7 +188,7 @@ class Speed:
     """What was measured, what was left out and why, and the machine."""
 
     settings: Settings
-    options: Mapping[str, Any]
+    options: dict[str, Any]
     scenes: list[SceneSpeed] = field(default_factory=list)
     left_out: list[Note] = field(default_factory=list)
     failures: list[Note] = field(default_factory=list)
@@ -202,6 +204,11 @@ class Speed:
         """The exit status: 0 done, 3 a renderer failed or nothing could be measured."""
         measured = any(scene.measured for scene in self.scenes) or self.kernels
         return 0 if measured and not self.failures else 3
+
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return counted(sum(len(scene.measured) for scene in self.scenes), "measurement")
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
@@ -226,7 +233,7 @@ class Speed:
 
 def threads(count: int) -> str:
     """In words."""
-    return f"{count} thread{'s'[: count > 1]}"
+    return counted(count, "thread")
 
 
 # ---- the machine
@@ -477,7 +484,7 @@ def speed(
 
     `named`: someone asked for these entries, so one that cannot run is a failure. `rounds`: pictures of each, taken in
     turns, fewer where they take longer than `seconds`. `limit`: seconds for all scenes; what would begin later is left
-    out. `pixels`, `edges`: how many are proved.
+    out. `pixels`, `edges`: how many are proved. Ctrl-C ends it with what there is.
     """
     start, settings = time.perf_counter(), settings or Settings()
     say = progress or (lambda _: None)
@@ -497,6 +504,12 @@ def speed(
             run.measure(chosen, rounds=rounds, seconds=seconds, pixels=pixels, edges=edges, seed=seed, jobs=jobs)
         except UnprovedError as error:
             result.failures.append(Note(label, "", str(error)))
+        except KeyboardInterrupt:
+            if not any(other.measured for other in result.scenes):
+                raise
+            result.interrupted = True
+        if result.interrupted:
+            break
     result.machine["load"]["after"] = load()
     result.seconds = time.perf_counter() - start
     return result
@@ -535,7 +548,7 @@ class _SceneRun:
                 reserve = sum(max(LEAST_RUNS * one.first, min(seconds, rounds * BURST)) for one in running)
                 if running and time.perf_counter() + reserve > self.end:
                     for late, _, _ in surveyed[place:]:
-                        self.leave_out(late, "the time was up: --limit gives more")
+                        self.leave_out(late, LATE)
                     break
                 if at not in proofs:
                     self.say(f"{self.label}: proving pixels at {at[0]}x{at[1]}")
@@ -545,7 +558,10 @@ class _SceneRun:
                 self.say(f"{self.label}: {entry.name}, {threads(entry.threads)}: first picture")
                 if opened := self.start(stack, entry, asked, at):
                     running.append(opened)
-            self.warm(running, rounds, seconds)
+            try:
+                self.warm(running, rounds, seconds)
+            except KeyboardInterrupt:
+                self.result.interrupted = True  # what has been drawn counts
         for one in running:
             steps = one.picture.metadata.get("levels")
             try:

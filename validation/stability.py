@@ -38,8 +38,8 @@ from validation.run import (
     versions,
     why_not,
 )
-from validation.terminal import colorful, console, number, print_failures
-from validation.timing import TimeLeft, now
+from validation.terminal import colorful, console, counted, number, print_failures
+from validation.timing import TimeLeft, duration, now
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -49,6 +49,11 @@ Named: TypeAlias = str | Renderer
 
 #: Seconds that one renderer may take for a rung, and truth for all of its pixels.
 SECONDS = 120.0
+#: What a cell of the table means.
+LEGEND = (
+    "-: holds to the end; (1e5): from there on its claim excuses every pixel, or it refuses the scene; refused: all of "
+    "them; !1e5: it failed there, and is not asked again"
+)
 #: So many breaks are told in words.
 TOLD = 12
 
@@ -117,7 +122,7 @@ class Step:
         if self.not_numbers:
             words.append(f"{self.not_numbers} pixels of NaN or Inf")
         if found and found.wrong:
-            words.append(f"{found.wrong} wrong decision{'s'[: found.wrong != 1]}")
+            words.append(counted(found.wrong, "wrong decision"))
         if found and found.ratio is not None and not found.ratio <= 1:
             words.append(f"colours off by {number(found.ratio)} tolerances")
         return ", ".join(words)
@@ -431,6 +436,11 @@ class Stability(Outcome):
     seconds: float = 0.0
     interrupted: bool = False
 
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{len(self.rungs)} of {counted(sum(len(ladder.rungs) for ladder in self.ladders), 'rung')}"
+
     def steps(self, ladder: Ladder, renderer: str) -> list[tuple[str, Step | None]]:
         """Of every rung; None where there is nothing."""
         found = [(rung, self.rungs.get((ladder.name, rung))) for rung in ladder.rungs]
@@ -602,12 +612,11 @@ def stability(
     tasks = deque(
         _Task(ladder.name if id(ladder) in known else ladder, rung) for ladder in chosen for rung in ladder.rungs
     )
-    count, start, left = len(tasks), time.monotonic(), TimeLeft(len(tasks))
+    start, left = time.monotonic(), TimeLeft(len(tasks))
 
     def tell() -> None:
         if progress:
-            done = len(result.rungs)
-            progress(f"{done} of {count} rungs{left.says(done)}")
+            progress(f"{result.progress}{left.says(len(result.rungs))}")
 
     tell()
     run = _in_processes(tasks, sent, settings, jobs, seconds) if jobs else _here(tasks, sent, settings)
@@ -621,6 +630,8 @@ def stability(
                     result.fail(Note(f"{found.ladder} {found.rung}", name, step.failed))
             tell()
     except KeyboardInterrupt:
+        if not result.rungs:
+            raise
         result.interrupted = True
     finally:
         run.close()
@@ -649,7 +660,7 @@ def print_stability(result: Stability) -> None:
     if result.rungs:
         _print_table(result, "own", "held to what each claims to tell: the rung on which it first breaks")
         _print_table(result, "careful", "held to 64 roundings u of its format: the rung on which it first breaks")
-        click.echo("-: holds to the end; (1e5): from there on its claim excuses every pixel; !1e5: it failed there")
+        click.echo(LEGEND)
         click.echo("breaks: a decision wrong above the margin, a colour off by more than its tolerance, NaN or Inf")
         click.echo("64 u: decisions above that margin; colours too where the format is float64 or float32 throughout")
         click.echo("seconds of drawing: " + ", ".join(f"{name} {result.drawing(name):.2g}" for name in result.tested))
@@ -679,15 +690,10 @@ def print_stability(result: Stability) -> None:
         click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
-    rungs = f"{len(result.rungs)} rungs in {result.seconds:.0f} s"
-    if result.interrupted:
-        count = sum(len(ladder.rungs) for ladder in result.ladders)
-        click.echo(
-            f"interrupted: {rungs}, of {count}: {holding} of {len(result.tested)} renderers hold as far as that goes"
-        )
-    else:
-        words = f"{holding} of {len(result.tested)} renderers hold on all of {len(result.ladders)} ladders"
-        click.echo(f"{rungs}: {words}")
+    rungs = result.progress if result.interrupted else counted(len(result.rungs), "rung")
+    words = f"{holding} of {len(result.tested)} renderers hold"
+    on = "as far as that goes" if result.interrupted else f"on all of {counted(len(result.ladders), 'ladder')}"
+    click.echo(f"{rungs} in {duration(result.seconds)}: {words} {on}")
 
 
 def _print_table(result: Stability, standard: str, title: str) -> None:

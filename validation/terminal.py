@@ -52,6 +52,11 @@ def console(*, stderr: bool = False) -> Console:
     return Out(stderr=stderr, highlight=False, width=wide)
 
 
+def counted(count: int, what: str) -> str:
+    """Such as "1 pixel" and "2 pixels"."""
+    return f"{count} {what}{'s'[: count != 1]}"
+
+
 def colorful() -> bool:
     """Whether stdout is a terminal that wants colours."""
     return sys.stdout.isatty() and not os.environ.get("NO_COLOR")
@@ -117,8 +122,8 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         total += ": there is no scene, or no pair of two different renderers"
     click.echo(
         total
-        + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
-        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        + (f", {least}{counted(unexplained, 'pixel')} without an excuse" if unexplained else "")
+        + (f", {counted(len(result.failures), 'failure')}" if result.failures else "")
         + (f", {missing} of {len(result.scenes)} {result.parts}s are missing" if missing else "")
     )
 

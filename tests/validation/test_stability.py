@@ -395,7 +395,8 @@ def test_ctrl_c_keeps_what_was_found(run: Any, tmp_path: Path, monkeypatch: Any)
     file = tmp_path / "s.json"
     result = run("stability", "--ladder", "speck", "--renderer", "native-f64", "--json", file)
     assert result.status == 130
-    assert "interrupted: 1 rungs" in result.out
+    assert "\n1 of 13 rungs in " in result.out
+    assert result.err == f"\ninterrupted: kept {file} with 1 of 13 rungs\n"
     assert strict(file.read_text())["interrupted"] is True
 
 

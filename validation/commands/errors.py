@@ -6,8 +6,9 @@ import difflib
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -43,6 +44,13 @@ class StoppedError(KeyboardInterrupt):
         """`kept`: a clause; "" where there was nothing to keep."""
         super().__init__(kept)
         self.kept = kept
+
+
+def kept(paths: Iterable[Path | None], done: str) -> StoppedError:
+    """Ended early, and some of it was written; `done`: what there is of what there was to be."""
+    *some, last = [str(path) for path in paths if path] or [""]
+    files = f"{', '.join(some)} and {last}" if some else last
+    return StoppedError(f"kept {files} with {done}" if last else f"{done} were finished")
 
 
 def sentence(error: click.ClickException) -> tuple[str, str]:

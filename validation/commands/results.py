@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validation import records
-from validation.commands.errors import StoppedError
+from validation.commands.errors import StoppedError, kept
 from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
+from validation.terminal import counted
 
 if TYPE_CHECKING:
     from validation.run import Validation
@@ -108,12 +109,6 @@ class Results:
                 asked = self._outputs.files or self.page
                 raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
             tell(self.kept)
-            raise StoppedError(self._keep(self.kept)) from error
-
-    def _keep(self, kept: Validation) -> str:
-        """Write what is finished, and return what to say about it."""
-        paths, every = self._write_kept(kept), len(kept.scenes)
-        done = f"{every - len(kept.unfinished)} of {every} {kept.parts}s"
-        *some, last = map(str, paths) if paths else ("",)
-        files = f"{', '.join(some)} and {last}" if some else last
-        return f"kept {files} with {done}" if paths else f"{done} were finished"
+            every = len(self.kept.scenes)
+            done = f"{every - len(self.kept.unfinished)} of {counted(every, self.kept.parts)}"
+            raise kept(self._write_kept(self.kept), done) from error

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from validation import records
-from validation.commands.errors import CommandError, errors
+from validation.commands.errors import CommandError, errors, kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_size
 from validation.commands.outputs import (
@@ -30,6 +30,9 @@ from validation.options import (
     open_option,
     positive,
 )
+
+#: Seconds that --kernels takes about: of --limit so much is kept for it, or half.
+KERNELS = 60.0
 
 
 @click.command(
@@ -130,28 +133,34 @@ def speed(
                 size=size,
                 rounds=rounds,
                 seconds=seconds,
-                limit=limit,
+                limit=limit - min(KERNELS, limit / 2) if kernels else limit,
                 pixels=pixels,
                 edges=edges,
                 progress=progress,
             )
-            if kernels:
+            result.options["limit"] = limit
+            if kernels and not result.interrupted:
                 from validation import speed_kernels
 
-                result.kernels = speed_kernels.kernels(loaded, size=size, progress=progress)
+                rest = limit - result.seconds
+                result.kernels = speed_kernels.kernels(loaded, size=size, limit=rest, progress=progress)
+                result.interrupted = result.kernels.interrupted
         result.command = command
         with summing():
             print_speed(result)
         if json_file:
             records.write(json_file, result.record())
-        if plot and module.panels(result):
+        plotted, page = plot if module.panels(result) else None, None
+        if plotted:
             from validation.speed_plot import write_plot
 
-            write_plot(plot, module.panels(result), module.caption(result))
-            click.echo(plot)
+            write_plot(plotted, module.panels(result), module.caption(result))
+            click.echo(plotted)
         if report:
-            written = write_page(report, result)
-            click.echo(written)
-            if open_report:
-                open_page(written)
+            page = write_page(report, result)
+            click.echo(page)
+        if result.interrupted:
+            raise kept((json_file, plotted, page), result.progress)
+        if page and open_report:
+            open_page(page)
     ctx.exit(result.status)

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from validation import records
-from validation.commands.errors import CommandError, errors
+from validation.commands.errors import CommandError, errors, kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
 from validation.commands.outputs import (
@@ -24,7 +24,6 @@ from validation.commands.outputs import (
     summing,
     writable,
 )
-from validation.commands.signals import ended
 from validation.options import Whole, json_option, loudness_options, names_option, open_option
 
 if TYPE_CHECKING:
@@ -141,10 +140,11 @@ def stability(
             result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
         if json_file:
             records.write(json_file, result.record())
-    if open_report and report and not result.interrupted:
-        open_page(report / "index.html")
     if result.interrupted:
-        ctx.exit(ended())
+        written = report / "index.html" if report else None
+        raise kept((json_file, written), result.progress)
+    if open_report and report:
+        open_page(report / "index.html")
     ctx.exit(result.status)
 
 
