@@ -395,9 +395,9 @@ def _contours(levels: NDArray[Any]) -> NDArray[np.bool_]:
 class Pace:
     """How long judging takes: every image has its share of the time, in which its places come one by one."""
 
-    def __init__(self, images: int, seconds: float, progress: Callable[[str], None] | None) -> None:
+    def __init__(self, images: int, seconds: float) -> None:
         """`seconds`: over so many images."""
-        self.images, self.left, self.progress = images, seconds, progress
+        self.images, self.left = images, seconds
         self.judged = 0
 
     def through(self, places: Sequence[tuple[int, int]], verdicts: Sequence[Verdict]) -> Iterator[tuple[int, int]]:
@@ -409,8 +409,6 @@ class Pace:
                 over = spent > share or (spent > NAMED * share and _named(verdicts))
                 if over and k and self.judged >= FEW:
                     return
-                if self.progress:
-                    self.progress(f"judging {k + 1} of {len(places)} pixels")
                 self.judged += 1
                 yield place
         finally:
@@ -654,7 +652,7 @@ def check(
         if progress:
             progress(f"{short}: {text}")
 
-    pace = Pace(len(pictures), SECONDS if verdicts is None else math.inf, judging)
+    pace = Pace(len(pictures), SECONDS if verdicts is None else math.inf)
     still = Still(name, pictures, found.convention, found.mistake, pace)
     left: list[Left] = []
 

@@ -386,7 +386,8 @@ def _work(order: _Order, task: _Task, teller: Teller) -> None:
     """In another process: say what came of a scene, then each failure in a smaller one."""
 
     def say(what: str) -> None:
-        teller.doing(what.partition(": ")[2])
+        # A pixel that is judged is no news of the pair; "scene" is what the only one is called.
+        teller.doing(what.partition("scene: ")[2])
 
     seen = _see(draw_scene(order.seed, task.index), task.index, order.tested, order.reference, order.settings, say)
     teller.found(seen)

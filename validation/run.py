@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib.metadata
 import itertools
 import math
@@ -505,19 +506,25 @@ def validate(
     for place, (label, at_size) in enumerate(at_sizes.items()):
         shared = _Shared(flip)
         for number, (one, other) in enumerate(chosen, place * len(chosen)):
-            if progress:
-                # First what must not be cut off.
-                count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
-                where = f"{count}{left.says(number)}".removeprefix(", ")
-                progress(f"{where}{': ' * bool(where)}{label}: {one.name} against {other.name}")
+            # First what must not be cut off.
+            count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
+            where = f"{count}{left.says(number)}".removeprefix(", ")
+            say = functools.partial(_say, progress, where, f"{label}: {one.name} against {other.name}")
+            say("")
             try:
-                _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
+                _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered, say)
             except _PairError as error:
                 result.fail(error.note)
         result.unfinished = labels[place + 1 :]
         if on_scene:
             on_scene(result)
     return result
+
+
+def _say(progress: Callable[[str], None] | None, where: str, pair: str, what: str) -> None:
+    """How far a pair is."""
+    if progress:
+        progress(": ".join(filter(None, (where, what, pair))))
 
 
 def check_passes(wanted: Iterable[str]) -> None:
@@ -580,6 +587,7 @@ def _pair(
     verdicts: Amount,
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
+    say: Callable[[str], None],
 ) -> None:
     """Compare one pair on one scene; what is drawn once is kept for the next pair."""
     settings = result.settings
@@ -643,7 +651,7 @@ def _pair(
         rounds.append((small, rest, drawing_of))
     for size, compared, drawing in rounds:
         at_size = resized(scene, size)
-        _compare(result, label, at_size, first, second, compared, verdicts, drawing, shared, on_rendered)
+        _compare(result, label, at_size, first, second, compared, verdicts, drawing, shared, on_rendered, say)
 
 
 def _in_time(side: Renderer, scene: Scene, passes: Sequence[str]) -> list[str]:
@@ -674,6 +682,7 @@ def _compare(
     draw: Mapping[str, Sequence[str]],
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
+    say: Callable[[str], None],
 ) -> None:
     """Compare passes of one pair at the size of the scene; `draw`: what either draws at this size."""
     settings, at = result.settings, (scene.view.columns, scene.view.rows)
@@ -715,7 +724,16 @@ def _compare(
             court = shared.courts[at]
             pair = sides[0], sides[1]
             judged = verdict.judge(
-                scene, label, settings, analysis, *pair, found, most=verdicts.most, first=verdicts.first, court=court
+                scene,
+                label,
+                settings,
+                analysis,
+                *pair,
+                found,
+                most=verdicts.most,
+                first=verdicts.first,
+                court=court,
+                progress=say,
             )
         except verdict.RulesError as error:
             result.fail(Note(label, error.renderer, str(error)))

@@ -19,6 +19,22 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
+class Pulse:
+    """What goes on quickly is told once a second, not always."""
+
+    def __init__(self, seconds: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
+        """First when so many seconds are over."""
+        self._seconds, self._clock, self._last = seconds, clock, clock()
+
+    def due(self) -> bool:
+        """Whether it is time to tell."""
+        now = self._clock()
+        if now - self._last < self._seconds:
+            return False
+        self._last = now
+        return True
+
+
 class TimeLeft:
     """How long the rest of so many equal parts takes, if it goes on as it began."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ from conftest import strict
 from doubles import Double, with_arrays
 from test_schema import STRICT
 
-from validation import proofs, speed, speed_kernels
+import tracer
+from validation import proofs, speed, speed_kernels, validate
 from validation.commands import results
 from validation.commands.results import Results
-from validation.timing import TimeLeft, duration
+from validation.timing import Pulse, TimeLeft, duration
 
 
 @pytest.fixture
@@ -212,6 +214,27 @@ def test_the_kernels_keep_to_the_limit_and_what_is_measured(
     record = strict(file.read_text())
     STRICT.validate(record)
     assert record["interrupted"] is True
+
+
+def test_a_long_judging_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Pulse, "due", lambda _: True)
+    told: list[str] = []
+    scene = tracer.loads(doubles.FULL)
+    wrong = Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)))
+    validate({"one": scene, "two": scene}, wrong, "native-f64", passes=["beauty"], progress=told.append, verdicts=3)
+    pair = "double against native-f64"
+    assert told[:2] == [f"scene 1 of 2: one: {pair}", f"scene 1 of 2: 0 of 3 pixels judged: one: {pair}"]
+    assert re.fullmatch(rf"scene 1 of 2: 2 of 3 pixels judged, \d+ s left: one: {pair}", told[3])
+    assert len(told) == 8
+
+
+def test_what_goes_on_quickly_is_told_once_a_second() -> None:
+    now = [100.0]
+    pulse = Pulse(clock=lambda: now[0])
+    due = []
+    for now[0] in (100.5, 101.0, 101.5, 101.9, 102.1):
+        due.append(pulse.due())
+    assert due == [False, True, False, False, True]
 
 
 def test_time_left() -> None:
