@@ -110,7 +110,7 @@ class Size(click.ParamType[tuple[int, int]]):
         """Two positive integers."""
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"0*([0-9]+)x0*([0-9]+)", value)
+        found = re.fullmatch(r"0*([0-9]+)[xX]0*([0-9]+)", value)
         if not found:
             self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
         if "0" in found.groups():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib.metadata
 import itertools
@@ -23,6 +22,7 @@ import numpy as np
 import tracer
 import tracer.margins
 from tracer._render import check_memory as room_for
+from tracer.near import near
 from tracer.passes import TABLE, Passes, lookup, names
 from validation import pairs, records, renderers
 from validation.compare import Comparison, Judge, compare_passes, without_maps
@@ -320,8 +320,8 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
         elif path.exists() or path == STDIN:
             files.append(path)
         else:
-            near = _near(path)
-            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{near}'?" * bool(near))
+            meant = _near(path)
+            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{meant}'?" * bool(meant))
     if wrong:
         raise SceneFilesError(wrong)
     return list(dict.fromkeys(files))
@@ -338,8 +338,8 @@ def _near(path: Path) -> Path | None:
     except OSError:
         return None
     # Without the ending, which all have in common.
-    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1, cutoff=0.75)
-    return path.parent / names[near[0]] if near else None
+    meant = near(path.stem if path.suffix.lower() == ".txt" else path.name, names, cutoff=0.75)
+    return path.parent / names[meant] if meant else None
 
 
 def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str, Scene]:

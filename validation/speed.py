@@ -78,6 +78,8 @@ class Entry:
     renderer: str
     isa: str
     threads: int
+    #: What was typed, where that stands for several.
+    group: str = field(default="", compare=False)
 
     @property
     def name(self) -> str:
@@ -293,12 +295,14 @@ def entries(names: Sequence[str] | None, counts: Sequence[int] | None) -> list[E
     several = tuple(dict.fromkeys(min(count, every) or every for count in counts or (1, 0)))
     found: list[Entry] = []
     for name in names if names is not None else _all_names():
-        for renderer, isa in _variants(name):
+        variants = _variants(name)
+        group = name if len(variants) > 1 else ""
+        for renderer, isa in variants:
             if renderer.startswith("numpy-"):
                 own: Sequence[int] = (1,)
             else:
                 own = several if counts or renderer.startswith("native-") else (every,)
-            found += [Entry(renderer, isa, count) for count in own]
+            found += [Entry(renderer, isa, count, group) for count in own]
     return list(dict.fromkeys(found))
 
 
@@ -590,6 +594,7 @@ class _SceneRun:
     def survey(self, chosen: Sequence[Entry]) -> list[tuple[Entry, dict[str, Any], tuple[int, int]]]:
         """The entries that can draw the scene, what is asked of them, and at which size."""
         found, told = [], {}
+        absent: list[tuple[Entry, str]] = []
         with ExitStack() as stack:
             surveyor = stack.enter_context(process())
             for entry in chosen:
@@ -605,10 +610,7 @@ class _SceneRun:
                     surveyor = stack.enter_context(process())  # the other may have ended
                     continue
                 if reason := answer.get("unavailable"):
-                    if self.named:
-                        self.fail(entry, f"cannot run here: {reason}")
-                    else:
-                        self.leave_out(entry, f"cannot run here: {reason}")
+                    absent.append((entry, f"cannot run here: {reason}"))
                 elif reason := answer.get("refused"):
                     self.leave_out(entry, reason)
                 elif "size" in answer:
@@ -618,6 +620,10 @@ class _SceneRun:
                             known[key if known.get(key, value) == value else f"{entry.renderer}: {key}"] = value
                     at: tuple[int, int] = tuple(answer["size"])
                     found.append((entry, self.request(entry, resized(self.scene, at)), at))
+        here = {entry.group for entry, _, _ in found}
+        for entry, reason in absent:
+            # Of a family that was asked for, one has to be here.
+            (self.fail if self.named and not (entry.group and entry.group in here) else self.leave_out)(entry, reason)
         return found
 
     def request(self, entry: Entry, scene: Scene) -> dict[str, Any]:
@@ -676,7 +682,8 @@ def panels(result: Speed) -> list[Panel]:
     """What the plot shows."""
     return [
         Panel(
-            f"{scene.label}, {scene.size[0]}x{scene.size[1]}: {scene.spheres} spheres, {scene.lights} lights",
+            f"{scene.label}, {scene.size[0]}x{scene.size[1]}: "
+            f"{counted(scene.spheres, 'sphere')}, {counted(scene.lights, 'light')}",
             [
                 Point(
                     m.entry.name,

@@ -499,6 +499,19 @@ class Stability(Outcome):
                     if ours.startswith("native-") and same and self.end(ladder, other) > self.end(ladder, ours):
                         yield ladder, ours, other
 
+    def outlasted_says(self) -> Iterator[str]:
+        """The same in words."""
+        for ladder, ours, other in self.outlasted():
+            end = ladder.rungs[self.end(ladder, ours)]
+            refused = self.rungs[ladder.name, end].steps[ours].refused
+            if (self.breaks(ladder, ours, "careful") or [""])[0] == end:
+                how = "breaks"
+            elif refused:
+                how = f"refuses ({refused.partition('error: ')[2] or refused})"
+            else:
+                how = "says nothing"
+            yield f"{ladder.name}: {other} goes on where {ours} {how}, at {end}"
+
     @property
     def status(self) -> int:
         """The exit status: 0 all hold, 1 one breaks, 3 a renderer failed or nothing was drawn."""
@@ -677,17 +690,8 @@ def print_stability(result: Stability) -> None:
         click.echo(f"and {len(broken) - TOLD} more, which --json has")
     if broken and not result.files:
         click.echo("  hint: --write DIR keeps the scenes, for `whitted explain`")
-    for ladder, ours, other in result.outlasted():
-        end = ladder.rungs[result.end(ladder, ours)]
-        broken_there = (result.breaks(ladder, ours, "careful") or [""])[0] == end
-        refused = result.rungs[ladder.name, end].steps[ours].refused
-        if broken_there:
-            how = "breaks"
-        elif refused:
-            how = f"refuses ({refused.partition('error: ')[2] or refused})"
-        else:
-            how = "says nothing"
-        click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
+    for line in result.outlasted_says():
+        click.echo(f"note: {line}")
     print_failures(result)
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
     rungs = result.progress if result.interrupted else counted(len(result.rungs), "rung")

@@ -32,7 +32,7 @@ def writable(path: Path) -> None:
         raise CommandError(f"{path} is a folder, expected the name of a file")
     if not path.parent.is_dir():
         raise CommandError(f"{path}: there is no folder {path.parent}", f"mkdir -p {shlex.quote(str(path.parent))}")
-    if path.exists() and not path.is_file():  # a pipe or a device
+    if path.exists() and (not path.is_file() or str(path).startswith("/dev/")):  # a pipe, a device, what is open
         if not os.access(path, os.W_OK):
             raise CommandError(f"{path}: cannot be written", "name another file")
         return

@@ -30,6 +30,7 @@ from validation.options import (
     open_option,
     positive,
 )
+from validation.terminal import counted
 
 #: Seconds that --kernels takes about: of --limit so much is kept for it, or half.
 KERNELS = 60.0
@@ -106,7 +107,7 @@ def speed(
     turns. docs/speed.md says how each number is made.
     """
     from validation import speed as module
-    from validation.run import load_scenes
+    from validation.run import Note, load_scenes
     from validation.speed_text import print_speed, write_page
 
     command = command_line()
@@ -145,6 +146,10 @@ def speed(
                 rest = limit - result.seconds
                 result.kernels = speed_kernels.kernels(loaded, size=size, limit=rest, progress=progress)
                 result.interrupted = result.kernels.interrupted
+        for count in threads or ():
+            if count > (most := len(module.processors())):
+                note = f"--threads {count}: here are {counted(most, 'processor')}, so {most} it is"
+                result.left_out.append(Note("", "", note))
         result.command = command
         with summing():
             print_speed(result)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -205,6 +204,7 @@ def _climb(
     command: Sequence[str],
 ) -> Stability:
     """Ladders."""
+    from tracer.near import near
     from validation import ladders
     from validation.curves import ours, write_curves
     from validation.stability import print_stability
@@ -213,8 +213,8 @@ def _climb(
     every = ladders.names()
     for name in ladder or ():
         if name not in every:
-            near = difflib.get_close_matches(name, every, n=1)
-            hint = (f"did you mean '{near[0]}'? " if near else "") + f"the ladders are {', '.join(every)}"
+            meant = near(name, every)
+            hint = (f"did you mean '{meant}'? " if meant else "") + f"the ladders are {', '.join(every)}"
             raise CommandError(f"unknown ladder '{name}'", hint)
     if report:
         ctx.with_resource(folder(report))
