@@ -501,7 +501,7 @@ class Certification(Outcome):
     @property
     def progress(self) -> str:
         """How far it went."""
-        return f"{len(self.certificates)} of {counted(self.asked, 'certificate')}"
+        return f"{len(self.certificates)} of {self.asked} certificates"
 
     @property
     def status(self) -> int:

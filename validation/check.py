@@ -726,6 +726,9 @@ def read_picture(path: Path, label: str, scene: Scene) -> Picture:
         image = images.decode(path.read_bytes(), (view.columns, view.rows))
     except images.ImageError as error:
         raise InputError(f"{path}: error: {error.message}" + f"\n  hint: {error.hint}" * bool(error.hint)) from error
+    except (FileNotFoundError, IsADirectoryError) as error:
+        what = "this is a folder, expected an image" if path.is_dir() else "no such file"
+        raise InputError(f"{path}: error: {what}") from error
     except OSError as error:
         raise InputError(f"{path}: error: {error.strerror or error}") from error
     return Picture(label, scene, image.levels, image.steps)

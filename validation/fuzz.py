@@ -442,7 +442,7 @@ class Campaign(Outcome):
     @property
     def progress(self) -> str:
         """How far it went."""
-        return f"{self.done} of {counted(self.asked, 'scene')}"
+        return f"{self.done} of {self.asked} scenes"
 
     def add(self, seen: Seen, *, again: bool = False) -> None:
         """Count a scene; `again`: what came of it later."""

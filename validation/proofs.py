@@ -26,7 +26,7 @@ from validation.follow import KINDS, Key
 from validation.processes import deferred
 from validation.records import Record, json_value
 from validation.run import versions
-from validation.terminal import counted, number
+from validation.terminal import number
 from validation.timing import TimeLeft
 from validation.truth import NOWHERE, Ball, Prover, Tie, Truth, prove
 
@@ -280,7 +280,7 @@ class Told:
     @property
     def progress(self) -> str:
         """How far it went."""
-        return f"{self.proved} of {counted(self.asked, 'pixel')}"
+        return f"{self.proved} of {self.asked} pixels"
 
 
 def tell(

@@ -439,7 +439,7 @@ class Stability(Outcome):
     @property
     def progress(self) -> str:
         """How far it went."""
-        return f"{len(self.rungs)} of {counted(sum(len(ladder.rungs) for ladder in self.ladders), 'rung')}"
+        return f"{len(self.rungs)} of {sum(len(ladder.rungs) for ladder in self.ladders)} rungs"
 
     def steps(self, ladder: Ladder, renderer: str) -> list[tuple[str, Step | None]]:
         """Of every rung; None where there is nothing."""
@@ -693,6 +693,9 @@ def print_stability(result: Stability) -> None:
     for line in result.outlasted_says():
         click.echo(f"note: {line}")
     print_failures(result)
+    if not result.tested:
+        click.echo("nothing was climbed")
+        return
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
     rungs = result.progress if result.interrupted else counted(len(result.rungs), "rung")
     words = f"{holding} of {len(result.tested)} renderers hold"

@@ -122,7 +122,10 @@ def check(
         if images and (folder := next((path for path in scenes if path.is_dir()), None)):
             raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
         for template in templates:
-            renderers.get(f"{PREFIX}{template}")
+            try:
+                renderers.get(f"{PREFIX}{template}")
+            except renderers.RendererNameError as error:
+                raise CommandError(f"--command: {error}", error.hint.replace(PREFIX, "")) from error
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if size:
             loaded = {label: resized(scene, size) for label, scene in loaded.items()}

@@ -14,7 +14,6 @@ import click
 from validation import records
 from validation.commands.errors import StoppedError, kept
 from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
-from validation.terminal import counted
 
 if TYPE_CHECKING:
     from validation.run import Validation
@@ -110,5 +109,5 @@ class Results:
                 raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
             tell(self.kept)
             every = len(self.kept.scenes)
-            done = f"{every - len(self.kept.unfinished)} of {counted(every, self.kept.parts)}"
+            done = f"{every - len(self.kept.unfinished)} of {every} {self.kept.parts}s"
             raise kept(self._write_kept(self.kept), done) from error

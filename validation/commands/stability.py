@@ -175,8 +175,8 @@ def _fuzz(
 
     if renderer:
         check_pairs(renderer, [against])
-    if output.exists() and not os.access(output, os.W_OK):
-        raise CommandError(f"{output}: cannot be written", "name another folder")
+    with folder(output, "--output"):  # it is made where there is something to keep
+        pass
     with progressing() as progress:
         result = fuzz(
             scenes,
@@ -214,7 +214,7 @@ def _climb(
     for name in ladder or ():
         if name not in every:
             meant = near(name, every)
-            hint = (f"did you mean '{meant}'? " if meant else "") + f"the ladders are {', '.join(every)}"
+            hint = f"did you mean '{meant}'?" if meant else f"the ladders are {', '.join(every)}"
             raise CommandError(f"unknown ladder '{name}'", hint)
     if report:
         ctx.with_resource(folder(report))

@@ -130,7 +130,7 @@ class UnknownRendererError(RendererNameError):
         names = sorted({alias for entry in known for alias in (entry, entry.partition("@")[0])})
         meant = near(name, names)
         super().__init__(f"unknown renderer '{name}'")
-        self.hint = (f"did you mean '{meant}'? " if meant else "") + f"known renderers: {', '.join(names)}"
+        self.hint = f"did you mean '{meant}'?" if meant else f"known renderers: {', '.join(names)}"
 
 
 @dataclass(frozen=True)
