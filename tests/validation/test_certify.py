@@ -831,7 +831,9 @@ def test_interrupted_it_leaves_no_file(run: Any, scene: Path, tmp_path: Path, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr(proofs, "pixel_record", interrupt)
-    assert run(scene, "--json", tmp_path / "r.json") == Result(130, "", "\ninterrupted\n")
+    assert run(scene, "--json", tmp_path / "r.json") == Result(
+        130, "", "\ninterrupted: nothing was finished, nothing was written\n"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["full.txt"]
 
 

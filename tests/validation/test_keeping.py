@@ -172,6 +172,24 @@ def test_certificates_are_kept(run: Any, three: list[Path], tmp_path: Path, regi
     assert (record["ok"], record["interrupted"], len(record["certificates"])) == (False, True, 1)
 
 
+def test_where_nothing_is_finished_that_is_said(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(speed._SceneRun, "start", stops)
+    monkeypatch.setattr("validation.stability.climb", stops)
+    monkeypatch.setattr("validation.stability._in_processes", stops)
+    file = tmp_path / "x.json"
+    for words in (("speed", three[0], *SPEED), ("stability", "--ladder", "speck", "--renderer", "native-f32")):
+        assert run(*words).err == "\ninterrupted\n"
+        ended = run(*words, "--json", file)
+        assert (ended.status, ended.out) == (130, "")
+        assert ended.err == "\ninterrupted: nothing was finished, nothing was written\n"
+        assert not file.exists()
+
+
 SPEED = ("--size", "16x12", "--renderer", "native-f32@scalar", "--threads", 1, "--pixels", 4, "--edges", 1)
 
 

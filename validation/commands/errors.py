@@ -52,6 +52,17 @@ def kept(paths: Iterable[Path | None], done: str) -> StoppedError:
     return StoppedError(f"kept {files} with {done}" if last else f"{done} were finished")
 
 
+@contextmanager
+def nothing_kept(*files: object) -> Iterator[None]:
+    """Ctrl-C in here, which nothing in it has kept anything of, says so where there were to be files."""
+    try:
+        yield
+    except StoppedError:
+        raise
+    except KeyboardInterrupt as error:
+        raise StoppedError("nothing was finished, nothing was written" if any(files) else "") from error
+
+
 def sentence(error: click.ClickException) -> tuple[str, str]:
     """What click finds wrong, and a hint, in our words."""
     from tracer.near import near

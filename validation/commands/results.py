@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validation import records
-from validation.commands.errors import StoppedError, kept
+from validation.commands.errors import kept, nothing_kept
 from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
 
 if TYPE_CHECKING:
@@ -102,11 +102,11 @@ class Results:
     def keeping(self, tell: Callable[[Validation], None]) -> Iterator[None]:
         """Ctrl-C in here: what is finished is told and goes into the files, and the error says so."""
         try:
-            yield
+            with nothing_kept(*self._outputs.files, self.page):
+                yield
         except KeyboardInterrupt as error:
             if self.kept is None:
-                asked = self._outputs.files or self.page
-                raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
+                raise
             tell(self.kept)
             every = len(self.kept.scenes)
             done = f"{every - len(self.kept.unfinished)} of {every} {self.kept.parts}s"

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from validation import records
-from validation.commands.errors import CommandError, errors, kept
+from validation.commands.errors import CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_size
 from validation.commands.outputs import (
@@ -126,7 +126,7 @@ def speed(
             writable(file)
         if report:
             page_in(ctx, report)
-        with progressing() as progress:
+        with nothing_kept(json_file, plot, report), progressing() as progress:
             result = module.speed(
                 loaded,
                 chosen,

@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from validation import records
-from validation.commands.errors import CommandError, errors, kept
+from validation.commands.errors import CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
 from validation.commands.outputs import (
@@ -133,10 +133,11 @@ def stability(
         check_open(report, wanted=open_report)
         if json_file:
             writable(json_file)
-        if scenes is None:
-            result = _climb(ctx, ladder, renderer, report, write, jobs or min(2 * cores, 8), command)
-        else:
-            result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
+        with nothing_kept(json_file, report):
+            if scenes is None:
+                result = _climb(ctx, ladder, renderer, report, write, jobs or min(2 * cores, 8), command)
+            else:
+                result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
         if json_file:
             records.write(json_file, result.record())
     if result.interrupted:

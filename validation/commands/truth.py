@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validation import records
-from validation.commands.errors import AT, FAILED, CommandError, errors, kept
+from validation.commands.errors import AT, FAILED, CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_pixels, check_size, settings_of
 from validation.commands.outputs import command_line, progressing, summing, writable
@@ -105,7 +105,7 @@ def truth(
             writable(file)
         settings, status = settings_of(options), 0
         try:
-            with progressing() as progress:
+            with nothing_kept(json_file, output), progressing() as progress:
                 common: dict[str, Any] = {"seed": seed, "jobs": jobs, "progress": progress}
                 if renderer:
                     common |= {"pixels": pixels or PIXELS, "edges": EDGES if edges is None else edges}
