@@ -734,6 +734,23 @@ def read_picture(path: Path, label: str, scene: Scene) -> Picture:
     return Picture(label, scene, image.levels, image.steps)
 
 
+def read_pictures(paths: Sequence[Path], scenes: Mapping[str, Scene]) -> list[Picture]:
+    """The images of scenes, in their order.
+
+    Raises:
+        InputError: with what is wrong with each.
+    """
+    pictures, wrong = [], []
+    for path, (label, scene) in zip(paths, scenes.items(), strict=True):
+        try:
+            pictures.append(read_picture(path, label, scene))
+        except InputError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise InputError("\n".join(wrong))
+    return pictures
+
+
 def draw_pictures(
     scenes: Mapping[str, Scene],
     template: str,

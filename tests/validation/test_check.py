@@ -655,3 +655,22 @@ def test_what_is_wrong_is_said(
     assert hint in result.err
     assert "Traceback" not in result.err
     assert not result.out
+
+
+def test_all_that_is_wrong_with_images_is_said_in_their_order(run: Any, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenes = [Path(f"{name}.txt") for name in "bac"]
+    for path in scenes:
+        path.write_text(doubles.FULL)
+    Path("folder").mkdir()
+    Path("empty.ppm").touch()
+    images = [word for name in ("nowhere.ppm", "folder", "empty.ppm") for word in ("--image", name)]
+    result = run("check", *scenes, *images)
+    assert (result.status, result.out) == (2, "")
+    places = [line.partition(": error: ")[0] for line in result.err.splitlines() if ": error: " in line]
+    assert places == ["nowhere.ppm", "folder", "empty.ppm"]
+    assert "folder: error: this is a folder, expected an image" in result.err
+
+
+def test_a_hint_about_a_command_is_one_that_can_be_typed(run: Any, scene: Path) -> None:
+    assert run("check", scene, "--command", "raytrace").err.endswith("\n  hint: for example './mine {scene}'\n")

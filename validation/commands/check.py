@@ -97,7 +97,7 @@ def check(
     the image is wanted; without it the file of the field OUTPUT is taken, or else what is printed.
     """
     from validation import renderers
-    from validation.check import check, draw_pictures, read_picture
+    from validation.check import check, draw_pictures, read_pictures
     from validation.renderers.command import MEBIBYTE, PREFIX, Limits
     from validation.run import load_scenes, resized
     from validation.terminal import print_check, print_checks
@@ -154,10 +154,7 @@ def check(
                 "on_scene": so_far if len(templates) < 2 else None,
             }
             if images:
-                pictures = [
-                    read_picture(path, label, scene)
-                    for path, (label, scene) in zip(images, loaded.items(), strict=True)
-                ]
+                pictures = read_pictures(images, loaded)
                 name = f"image:{images[0].name}" if len(images) == 1 else "image"
                 results[name] = check(pictures, name=name, **common)
             limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
