@@ -11,7 +11,6 @@ In a document, in the order of its blocks:
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -364,50 +363,6 @@ def test_every_target_of_make_exists(document: str) -> None:
 def test_every_known_mistake_is_told() -> None:
     for mistake in (*MISTAKES, ACNE):
         assert f"| {mistake.says} |" in TEXTS["docs/known-differences.md"]
-
-
-def keys(value: object, names: set[str]) -> set[str]:
-    """All fields in a JSON value, but for those of mappings by name."""
-    if isinstance(value, list):
-        return set().union(*(keys(entry, names) for entry in value)) if value else set()
-    if not isinstance(value, dict):
-        return set()
-    below = [keys(entry, names) for name, entry in value.items() if name != "versions"]
-    return {name for name in value if name not in names}.union(*below)
-
-
-@pytest.mark.parametrize(
-    ("document", "command"),
-    [
-        ("docs/stability.md", "whitted stability --ladder narrow --renderer native-f32 --json found.json"),
-        (
-            "docs/speed.md",
-            "whitted speed scenes/spec/diffuse-only.txt --size 40x40 --renderer native-f64,numpy-f64 --rounds 3 "
-            "--seconds 0.01 --pixels 20 --edges 5 --json found.json",
-        ),
-    ],
-)
-def test_every_field_of_a_result_is_told(document: str, command: str, tmp_path: Path, need) -> None:
-    place = Workplace(tmp_path, document, need)
-    subprocess.run(command.split(), cwd=tmp_path, env=place.environment, check=True, capture_output=True)
-    found = keys(json.loads((tmp_path / "found.json").read_text()), {"native-f32"})
-    told = TEXTS[document] + TEXTS["docs/results.md"]
-    assert found
-    assert [name for name in sorted(found) if not re.search(rf"`{name}`", told)] == []
-
-
-def test_every_field_of_the_schema_is_told() -> None:
-    schema = json.loads((ROOT / "validation" / "results.schema.json").read_text(encoding="utf-8"))
-
-    def fields(value: object) -> set[str]:
-        if isinstance(value, list):
-            return set().union(*map(fields, value))
-        if not isinstance(value, dict):
-            return set()
-        here = value.get("properties")
-        return set(here if isinstance(here, dict) else ()).union(*map(fields, value.values()))
-
-    assert [name for name in sorted(fields(schema)) if f"`{name}`" not in TEXTS["docs/results.md"]] == []
 
 
 def test_the_scene_in_the_specification_is_one(tmp_path: Path) -> None:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import errno
 import json
 import os
 import re
+import shutil
+import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tracer.near import near
 
 Quantity = Literal["color", "visibility", "length", "position", "normal", "id", "margin"]
 Precision = Literal["f64", "f32"]
@@ -97,8 +100,8 @@ def lookup(name: str) -> Pass:
             first = "[1-9]" if row.quantity == "color" else "(?:0$|[1-9])"  # bounces count from 1, lights from 0
             if member in MARGINS if row.quantity == "margin" else re.fullmatch(first + "[0-9]{0,8}", member):
                 return row
-    near = difflib.get_close_matches(name, names(1), n=1)
-    raise ValueError(f"unknown pass '{name}'" + (f" (did you mean '{near[0]}'?)" if near else ""))
+    meant = near(name, names(1))
+    raise ValueError(f"unknown pass '{name}'" + (f" (did you mean '{meant}'?)" if meant else ""))
 
 
 def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
@@ -112,10 +115,15 @@ def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left.
 
-    A device or a pipe is written directly: it must not be replaced by a file.
+    What must not be replaced by a file gets the bytes at the end: a device, a pipe, and what this process has open,
+    such as /dev/stdout, whatever that leads to.
     """
-    if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
-        yield Path(path)
+    path, descriptor = Path(path), _descriptor(Path(path))
+    if descriptor is not None or (path.exists() and not path.is_file() and not path.is_dir()):
+        with tempfile.TemporaryDirectory(prefix="whitted-") as folder:
+            yield Path(folder) / f"output{path.suffix}"
+            with (Path(folder) / f"output{path.suffix}").open("rb") as made:
+                _send(made, path, descriptor)
         return
     path = Path(os.path.realpath(path))  # the file behind a link is replaced, not the link
     if not path.parent.is_dir():
@@ -139,6 +147,33 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _descriptor(path: Path) -> int | None:
+    """The number that this process has something open as, of a path such as /dev/stdout; None: it is none."""
+    for _ in range(40):  # as many links as a system follows
+        found = re.fullmatch(rf"(?:/dev|/proc/self|/proc/{os.getpid()})/fd/(\d+)", str(path))
+        if found:
+            return int(found[1])
+        if not path.is_symlink():
+            return None
+        path = Path(os.path.normpath(path.parent / path.readlink()))
+    return None
+
+
+def _send(made: BinaryIO, path: Path, descriptor: int | None) -> None:
+    """Bytes to what is open, or to a device or a pipe."""
+    try:
+        if descriptor is None:
+            with path.open("wb") as out:
+                shutil.copyfileobj(made, out)
+            return
+        sys.stdout.flush()  # what was printed comes before
+        # The same open file: so it goes on where that is.
+        with os.fdopen(os.dup(descriptor), "wb") as out:
+            shutil.copyfileobj(made, out)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 class Passes(Mapping[str, NDArray[Any]]):

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from tracer.margins import EDGE_ROUNDINGS
 from tracer.passes import Passes, lookup, names
-from validation import metrics, renderers
-from validation.compare import Judge, Mask, Record, json_value
+from validation import metrics, records, renderers
+from validation.compare import Judge, Mask
 from validation.proofs import Pixel, choose, proved_or_not, split
+from validation.records import Record, json_value
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.renderers.floats import UNIT_ROUNDOFF, FloatRenderer
 from validation.run import (
@@ -40,6 +41,7 @@ from validation.terminal import (
     TOO_MANY,
     colorful,
     console,
+    counted,
     fits,
     number,
     paths,
@@ -493,7 +495,13 @@ class Certification(Outcome):
     seed: int
     certificates: list[Certificate] = field(default_factory=list)
     #: Whether Ctrl-C ended it: then some certificates are missing.
+    asked: int = 0
     interrupted: bool = False
+
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{len(self.certificates)} of {self.asked} certificates"
 
     @property
     def status(self) -> int:
@@ -506,7 +514,8 @@ class Certification(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "certify",
             {
                 "ok": self.status == 0 and not self.interrupted,
                 "interrupted": self.interrupted,
@@ -519,9 +528,8 @@ class Certification(Outcome):
                 "certificates": [certificate.record() for certificate in self.certificates],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
 
 def certify_scenes(
@@ -545,6 +553,7 @@ def certify_scenes(
     programs = list(dict.fromkeys(programs))
     result = Certification(settings=settings, pixels=pixels, edges=edges, seed=seed, versions=versions(programs))
     usable = result.usable(programs)
+    result.asked = len(scenes) * len(usable)
     try:
         _certify_each(result, scenes, usable, jobs, progress)
     except KeyboardInterrupt:
@@ -668,17 +677,16 @@ def print_certification(result: Certification) -> None:
     print_failures(result)
     good, every, many = sum(entry.ok for entry in result.certificates), len(result.certificates), len(result.failures)
     total = f"{good} of {every} certificates hold" if every else "nothing was certified"
-    end = "interrupted: " if result.interrupted else ""
-    click.echo(end + total + (f", {many} failure{'s'[: many > 1]}" if many else ""))
+    click.echo(total + (f", {counted(many, 'failure')}" if many else ""))
 
 
 def _left_out(entry: Certificate) -> Iterator[str]:
     """What was not held against the truth."""
     if entry.exempt:
-        yield f"left out {entry.exempt} pixel{'s'[: entry.exempt > 1]} that nothing settles"
+        yield f"left out {counted(entry.exempt, 'pixel')} that nothing settles"
     if entry.unproved:
         count, (x, y) = len(entry.unproved), entry.unproved[0]
-        yield f"{count} pixel{'s'[: count > 1]} could not be proved, for example {x} {y}"
+        yield f"{counted(count, 'pixel')} could not be proved, for example {x} {y}"
     if entry.missing:
         yield f"it lacks {', '.join(entry.missing)}"
 

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 import tracer
 from tracer.passes import SAMPLES, Passes, Sample
-from validation import images
-from validation.compare import Record
+from validation import images, records
 from validation.encoding import QUANTISATIONS, Encoding
+from validation.records import Record
 from validation.renderers import Settings, Uncertainty, floats
 from validation.renderers.command import PREFIX, Command, Limits, WholeImageError
 from validation.run import (
@@ -395,9 +395,9 @@ def _contours(levels: NDArray[Any]) -> NDArray[np.bool_]:
 class Pace:
     """How long judging takes: every image has its share of the time, in which its places come one by one."""
 
-    def __init__(self, images: int, seconds: float, progress: Callable[[str], None] | None) -> None:
+    def __init__(self, images: int, seconds: float) -> None:
         """`seconds`: over so many images."""
-        self.images, self.left, self.progress = images, seconds, progress
+        self.images, self.left = images, seconds
         self.judged = 0
 
     def through(self, places: Sequence[tuple[int, int]], verdicts: Sequence[Verdict]) -> Iterator[tuple[int, int]]:
@@ -409,8 +409,6 @@ class Pace:
                 over = spent > share or (spent > NAMED * share and _named(verdicts))
                 if over and k and self.judged >= FEW:
                     return
-                if self.progress:
-                    self.progress(f"judging {k + 1} of {len(places)} pixels")
                 self.judged += 1
                 yield place
         finally:
@@ -584,7 +582,7 @@ class Checked:
     def record(self) -> Record:
         """Everything as strictly valid JSON: that of the comparison, `fit` and `left` before it."""
         fit = self.fit
-        return {
+        fields: Record = {
             "fit": fit
             and {
                 "sample": fit.convention.sample,
@@ -604,6 +602,7 @@ class Checked:
             "ending": self.ending or None,
             **self.validation.record(),
         }
+        return records.result("check", fields)
 
 
 def check(
@@ -653,7 +652,7 @@ def check(
         if progress:
             progress(f"{short}: {text}")
 
-    pace = Pace(len(pictures), SECONDS if verdicts is None else math.inf, judging)
+    pace = Pace(len(pictures), SECONDS if verdicts is None else math.inf)
     still = Still(name, pictures, found.convention, found.mistake, pace)
     left: list[Left] = []
 
@@ -727,9 +726,29 @@ def read_picture(path: Path, label: str, scene: Scene) -> Picture:
         image = images.decode(path.read_bytes(), (view.columns, view.rows))
     except images.ImageError as error:
         raise InputError(f"{path}: error: {error.message}" + f"\n  hint: {error.hint}" * bool(error.hint)) from error
+    except (FileNotFoundError, IsADirectoryError) as error:
+        what = "this is a folder, expected an image" if path.is_dir() else "no such file"
+        raise InputError(f"{path}: error: {what}") from error
     except OSError as error:
         raise InputError(f"{path}: error: {error.strerror or error}") from error
     return Picture(label, scene, image.levels, image.steps)
+
+
+def read_pictures(paths: Sequence[Path], scenes: Mapping[str, Scene]) -> list[Picture]:
+    """The images of scenes, in their order.
+
+    Raises:
+        InputError: with what is wrong with each.
+    """
+    pictures, wrong = [], []
+    for path, (label, scene) in zip(paths, scenes.items(), strict=True):
+        try:
+            pictures.append(read_picture(path, label, scene))
+        except InputError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise InputError("\n".join(wrong))
+    return pictures
 
 
 def draw_pictures(

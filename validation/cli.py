@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.metadata
 import os
 import sys
@@ -47,8 +46,10 @@ class Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command, or say which one is near."""
         if args and self.get_command(ctx, args[0]) is None:
-            near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "see `whitted --help`"
+            from tracer.near import near
+
+            meant = near(args[0], self.list_commands(ctx))
+            hint = f"did you mean '{meant}'?" if meant else "see `whitted --help`"
             raise CommandError(f"unknown command '{args[0]}'", hint)
         return super().resolve_command(ctx, args)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tracer.passes import Pass, lookup
 from validation import encoding, metrics
 from validation.encoding import Encodings
+from validation.records import Record, json_value
 from validation.renderers import Settings, Uncertainty
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from tracer.passes import Passes
 
 Mask: TypeAlias = NDArray[np.bool_]
-Record: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -130,17 +130,6 @@ def without_maps(comparison: Comparison) -> Comparison:
     """The numbers alone: pictures of many scenes take much memory."""
     flip = comparison.flip and replace(comparison.flip, map=np.zeros((0, 0)))
     return replace(comparison, maps=None, flip=flip)
-
-
-def json_value(value: Any) -> Any:
-    """The same value with infinities and NaN as strings, which is what strict JSON leaves for them."""
-    if isinstance(value, Mapping):
-        return {key: json_value(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_value(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
-    return value
 
 
 #: The kinds of decisions next to which the first order says nothing of a value: it goes as a root there, or a power.

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import html
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tracer.passes import write_beside
-from validation.ladders import SIDE
+from validation.ladders import SIDE, names
+from validation.stability import LEGEND
+from validation.timing import duration
 
 if TYPE_CHECKING:
     from validation.ladders import Ladder
@@ -31,6 +34,8 @@ def write_curves(result: Stability, folder: Path) -> Path:
     import matplotlib
 
     folder.mkdir(parents=True, exist_ok=True)
+    for name in names():  # of a run before
+        (folder / f"{name}.svg").unlink(missing_ok=True)
     # The same bytes for the same results.
     with matplotlib.rc_context({"svg.hashsalt": "whitted", "svg.fonttype": "none", "font.size": 8}):
         for ladder in result.ladders:
@@ -90,6 +95,9 @@ def _page(result: Stability) -> str:
         "table{border-collapse:collapse}td,th{padding:2px 10px;text-align:left}.bad{color:#b00;font-weight:bold}"
     )
     lines.append("</style><h1>Stability</h1>")
+    facts = f"{result.date}, whitted {result.versions['whitted']}, {result.progress} in {duration(result.seconds)}"
+    lines.append(f"<p>{html.escape(facts)}{', interrupted' * result.interrupted}</p>")
+    lines.append(f"<p><code>{html.escape(shlex.join(result.command))}</code></p>" * bool(result.command))
     for standard, title in (("own", "Held to what each claims to tell"), ("careful", "Held to 64 roundings")):
         lines += [f"<h2>{title}: the rung on which it first breaks</h2>", "<table>"]
         lines.append(_row("th", [(text, False) for text in ("ladder", "to", *result.tested)]))
@@ -100,14 +108,18 @@ def _page(result: Stability) -> str:
             ]
             lines.append(_row("td", [(ladder.name, False), (ladder.rungs[-1], False), *cells]))
         lines.append("</table>")
-    lines.append(
-        "<p>-: holds to the end; (1e5): from there on its claim excuses every pixel; !1e5: it failed there.</p>"
-    )
+    lines.append(f"<p>{html.escape(LEGEND)}.</p>")
+    if told := [*result.outlasted_says(), *result.notes, *result.failures]:
+        texts = (note if isinstance(note, str) else ": ".join(filter(None, vars(note).values())) for note in told)
+        lines.append("<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in texts) + "</ul>")
     for ladder in result.ladders:
         name = html.escape(ladder.name)
         lines.append(
             f'<h2 id="{name}">{name}</h2><p>{html.escape(ladder.about)}</p><img src="{name}.svg" alt="{name}">'
         )
+    lines.append("<h2>Versions</h2><table>")
+    lines += [_row("td", [(key, False), (value, False)]) for key, value in result.versions.items()]
+    lines.append("</table>")
     return "\n".join([*lines, "</html>", ""])
 
 

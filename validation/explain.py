@@ -12,11 +12,23 @@ import numpy as np
 from flint import arb, ctx, fmpq
 
 from tracer.passes import MARGINS, lookup, names, quantise
-from validation.compare import Judge, Record, json_value
+from validation import records
+from validation.compare import Judge
 from validation.flips import Flip, flipped, flips
 from validation.follow import Hit, Key, Vector
+from validation.records import Record
 from validation.renderers import Renderer, Settings, Uncertainty
-from validation.run import ANALYSIS_MAX_PIXELS, InputError, RendererError, analyse, blaming, draw, shrink, why_not
+from validation.run import (
+    ANALYSIS_MAX_PIXELS,
+    InputError,
+    RendererError,
+    analyse,
+    blaming,
+    draw,
+    shrink,
+    versions,
+    why_not,
+)
 from validation.truth import NOWHERE, Ball, Prover, Tie, Truth
 from validation.verdict import Court, Side
 
@@ -165,6 +177,8 @@ class Explanation:
     calls: Mapping[str, Call]
     drawn: tuple[Drawn, ...]
     notes: tuple[str, ...]
+    versions: Mapping[str, str]
+    command: Sequence[str] = ()
 
     @property
     def ties(self) -> tuple[Tie, ...]:
@@ -179,26 +193,29 @@ class Explanation:
     def record(self) -> Record:
         """Everything as strictly valid JSON. Numbers are the float64 nearest to the exact ones."""
         truth = self.truth
-        entry = {
+        fields = {
+            "command": list(self.command),
+            "versions": self.versions,
             "scene": self.label,
             "size": [self.scene.view.columns, self.scene.view.rows],
             "x": self.x,
             "y": self.y,
             "settings": vars(self.settings).copy(),
+            "ok": not self.failed,
             "direction": [str(value) for value in self.direction],
             "truth": {name: [ball.value for ball in balls] for name, balls in truth.values.items()},
             "levels": self.levels,
             "bits": truth.bits,
             "margins": dict(self.margins),
             "decisions": {
-                kind: {"decision": decision(self.scene, call.key), "margin": call.margin, **call.key._asdict()}
+                kind: {"text": decision(self.scene, call.key), "margin": call.margin, **call.key._asdict()}
                 for kind, call in self.calls.items()
             },
             "bounces": [_plain(bounce) for bounce in self.bounces],
             "end": self.end,
             "ties": [
                 {
-                    "decision": evenness(self.scene, tie.key, self.settings),
+                    "text": evenness(self.scene, tie.key, self.settings),
                     "proved": tie.proved,
                     "settled": tie.settled,
                     "outcomes": tie.outcomes,
@@ -209,8 +226,7 @@ class Explanation:
             "renderers": [self._record_of(drawn) for drawn in self.drawn],
             "notes": self.notes,
         }
-        strict: Record = json_value(entry)
-        return strict
+        return records.result("explain", fields)
 
     def _record_of(self, drawn: Drawn) -> Record:
         differences = [_plain(entry) for entry in drawn.differences]
@@ -707,6 +723,7 @@ def explain(
     *,
     label: str = "scene",
     progress: Callable[[str], None] | None = None,
+    command: Sequence[str] = (),
 ) -> Explanation:
     """Explain column x, row y of a scene, and hold renderers against it.
 
@@ -754,6 +771,8 @@ def explain(
         calls,
         tuple(drawn),
         tuple(notes),
+        versions([renderer for renderer, entry in zip(renderers, drawn, strict=False) if not entry.reason]),
+        tuple(command),
     )
 
 

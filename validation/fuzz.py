@@ -4,17 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
-import multiprocessing
-import multiprocessing.connection
-import os
 import re
-import resource
 import shlex
-import signal
-import threading
 import time
-import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -28,21 +20,19 @@ import numpy as np
 import tracer
 from tracer import Scene
 from tracer.passes import lookup, write_beside
-from validation import certify, renderers
-from validation.compare import Record, json_value
+from validation import certify, records, renderers
 from validation.minimise import Pixel, Small, minimise, size
 from validation.parting import SUMS
+from validation.processes import Pool, Teller
 from validation.random_scenes import Drawn, draw_scene
+from validation.records import Record
 from validation.renderers import Renderer, Settings
 from validation.run import InputError, Note, Outcome, Rendered, RendererError, explain_command, validate, versions
-from validation.terminal import TOO_MANY, colorful, console, print_failures
+from validation.terminal import TOO_MANY, colorful, console, counted, print_failures
 from validation.timing import TimeLeft, duration
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-    from multiprocessing.process import BaseProcess
-
     from validation.compare import Comparison
     from validation.court import Finding
     from validation.verdict import Verdict
@@ -61,8 +51,6 @@ PROVED, HARDEST = 6, 12
 SCENE_SECONDS, SMALLER_SECONDS = 300.0, 60.0
 #: So many scenes that show the same kind of failure are made smaller; the smallest stays.
 TRIED_OF_A_KIND = 2
-#: A process that has grown so large is replaced: Mitsuba keeps what it compiles.
-LARGEST_BYTES = 3 << 30
 #: What differs from scene to scene in a sentence.
 NUMBER = re.compile(r"\d+([.]\d+)?(e[+-]?\d+)?")
 #: Failures of the renderer itself, not of what it drew.
@@ -382,75 +370,31 @@ class _Order:
     tested: tuple[Named, ...]
     reference: Named
     settings: Settings
+    scene_seconds: float
     seconds: float
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os.killpg(0, signal.SIGKILL)
+@dataclass(frozen=True)
+class _Task:
+    """The scene of an index; failures of these kinds have been made smaller often enough."""
+
+    index: int
+    enough: frozenset[Kind]
 
 
-def _work(connection: Connection, order: _Order) -> None:
-    """A process: for each index that comes, say what came of its scene, then each failure in a smaller one."""
-    # A group of its own: Ctrl-C is for the parent, and what it ends it ends with the programs started here.
-    os.setsid()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    # Mitsuba makes its own integrators anew whenever another of its variants draws.
-    warnings.filterwarnings("ignore", message="The AST-transforming decorator")
-    while True:
-        task = connection.recv()
-        if task is None:
-            return
-        index, enough = task
-        try:
-            drawn = draw_scene(order.seed, index)
-            say = functools.partial(_say, connection)
-            seen = _see(drawn, index, order.tested, order.reference, order.settings, say)
-            connection.send(("seen", seen))
-            for failure in seen.failures:
-                if failure.kind not in enough:
-                    say(f"scene: {failure.renderer} against {failure.reference}")
-                    found = smaller(failure, order.tested, order.reference, order.settings, order.seconds)
-                    connection.send(("smaller", found))
-        except Exception as error:  # a fault of ours, which is told; the other scenes go on
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(where.filename).name}:{where.lineno}"
-            connection.send(("fault", f"scene {index}: {type(error).__name__} in {place}: {error}"))
-        connection.send(("done", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024))
+def _work(order: _Order, task: _Task, teller: Teller) -> None:
+    """In another process: say what came of a scene, then each failure in a smaller one."""
 
+    def say(what: str) -> None:
+        # A pixel that is judged is no news of the pair; "scene" is what the only one is called.
+        teller.doing(what.partition("scene: ")[2])
 
-def _say(connection: Connection, what: str) -> None:
-    connection.send(("doing", what.partition(": ")[2]))
-
-
-class _Worker:
-    """One process and what it is doing."""
-
-    def __init__(self, order: _Order) -> None:
-        context = multiprocessing.get_context("spawn")  # a fork of a process in which Mitsuba has threads may hang
-        self.connection, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(target=_work, args=(theirs, order), daemon=True)
-        self.process.start()
-        theirs.close()
-        self.index: int | None = None
-        self.seen = False
-        self.doing = ""
-        self.deadline = 0.0
-
-    def give(self, index: int, enough: set[Kind], seconds: float) -> None:
-        self.index, self.seen, self.doing = index, False, ""
-        self.deadline = time.monotonic() + seconds
-        self.connection.send((index, enough))
-
-    def end(self) -> None:
-        """At once, with everything that it has started."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.process.pid or 0, signal.SIGKILL)
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
+    seen = _see(draw_scene(order.seed, task.index), task.index, order.tested, order.reference, order.settings, say)
+    teller.found(seen)
+    for failure in seen.failures:
+        if failure.kind not in task.enough:
+            teller.doing(f"{failure.renderer} against {failure.reference}", order.scene_seconds + order.seconds)
+            teller.found(smaller(failure, order.tested, order.reference, order.settings, order.seconds))
 
 
 # ---- a campaign
@@ -495,6 +439,11 @@ class Campaign(Outcome):
             return trouble
         return 1 if self.kinds else 0
 
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{self.done} of {self.asked} scenes"
+
     def add(self, seen: Seen, *, again: bool = False) -> None:
         """Count a scene; `again`: what came of it later."""
         if not again:
@@ -511,9 +460,10 @@ class Campaign(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "fuzz",
             {
-                "ok": self.status == 0,
+                "ok": self.status == 0 and not self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
@@ -530,19 +480,17 @@ class Campaign(Outcome):
                 "twists": dict(sorted(self.twists.items())),
                 "kinds": [
                     {
-                        **kind._asdict(),
                         "count": found.count,
                         "scenes": found.scenes,
                         "file": found.path and str(found.path),
                         **_record(found.smallest, self.seed),
                     }
-                    for kind, found in self.kinds.items()
+                    for found in self.kinds.values()
                 ],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
 
 def best() -> list[str]:
@@ -595,18 +543,18 @@ def fuzz(
         return result
     result.tested = tuple(entry.name for entry in usable)
     sent = tuple(asked[entry] for entry in usable)
-    order = _Order(seed, sent, reference, settings, smaller_seconds)
+    order = _Order(seed, sent, reference, settings, scene_seconds, smaller_seconds)
     start, left = time.monotonic(), TimeLeft(scenes)
 
     def tell() -> None:
         if progress:
-            kinds = f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures"
-            progress(f"{result.done} of {scenes} scenes, {kinds}{left.says(result.done)}")
+            kinds = f"{counted(len(result.kinds), 'kind')} of failures"
+            progress(f"{result.progress}, {kinds}{left.says(result.done)}")
 
     tell()
     indices = iter(range(first, first + scenes))
     try:
-        run = _in_processes(result, order, indices, min(jobs, scenes), scene_seconds) if jobs else _here(order, indices)
+        run = _in_processes(result, order, indices, min(jobs, scenes)) if jobs else _here(order, indices)
         with contextlib.closing(run):
             for what, value in run:
                 if what in ("seen", "again"):
@@ -619,6 +567,8 @@ def fuzz(
                 else:
                     result.fail(Note("", "", value))
     except KeyboardInterrupt:
+        if not result.done:
+            raise
         result.interrupted = True
     result.seconds = time.monotonic() - start
     return result
@@ -639,85 +589,45 @@ def _here(order: _Order, indices: Iterable[int]) -> Generator[Event]:
                 yield "smaller", smaller(failure, order.tested, order.reference, order.settings, order.seconds)
 
 
-def _in_processes(
-    result: Campaign, order: _Order, indices: Iterator[int], jobs: int, scene_seconds: float
-) -> Generator[Event]:
+def _in_processes(result: Campaign, order: _Order, indices: Iterator[int], jobs: int) -> Generator[Event]:
     """In others, which are ended where they take too long."""
-    workers: list[_Worker] = []
 
-    def give(worker: _Worker) -> bool:
-        index = next(indices, None)
-        if index is None:
-            workers.remove(worker)
-            worker.end()
-            return False
-        enough = {kind for kind, found in result.kinds.items() if found.made_smaller >= TRIED_OF_A_KIND}
-        worker.give(index, enough, scene_seconds)
-        return True
+    def following() -> _Task | None:
+        enough = frozenset(kind for kind, found in result.kinds.items() if found.made_smaller >= TRIED_OF_A_KIND)
+        return next((_Task(index, enough) for index in indices), None)
 
-    def replaced(worker: _Worker) -> None:
-        worker.end()
-        workers.remove(worker)
-        other = _Worker(order)
-        workers.append(other)
-        give(other)
-
-    try:
-        for _ in range(jobs):
-            workers.append(_Worker(order))
-            give(workers[-1])
-        while workers:
-            least = min(worker.deadline for worker in workers) - time.monotonic()
-            ready = multiprocessing.connection.wait([worker.connection for worker in workers], max(least, 0.0))
-            for worker in tuple(workers):
-                if worker.connection in ready:
-                    try:
-                        what, value = worker.connection.recv()
-                    except (EOFError, OSError):
-                        worker.process.join()
-                        ended = f"the process ended with status {worker.process.exitcode}"
-                        yield "again" if worker.seen else "seen", _broken(worker, order, "crashed", ended)
-                        replaced(worker)
-                        continue
-                    if what == "doing":
-                        worker.doing = value
-                        continue
-                    if what == "done":
-                        if value > LARGEST_BYTES:
-                            replaced(worker)
-                        else:
-                            give(worker)
-                        continue
-                    worker.seen = True
-                    worker.deadline = time.monotonic() + scene_seconds + order.seconds
-                    yield what, value
-                elif time.monotonic() > worker.deadline:
-                    late = _broken(worker, order, "hangs", f"no answer in {scene_seconds:g} seconds")
-                    yield "again" if worker.seen else "seen", late
-                    replaced(worker)
-    finally:
-        for worker in workers:
-            worker.end()
+    seen: set[int] = set()
+    pool = Pool(functools.partial(_work, order), jobs, order.scene_seconds)
+    with contextlib.closing(pool.run(following)) as run:
+        for worker, what, value in run:
+            assert worker.task is not None
+            index = worker.task.index
+            if what == "fault":
+                yield what, f"scene {index}: {value}"
+            elif what == "found" and isinstance(value, Failure):
+                yield "smaller", value
+            else:
+                found = value if what == "found" else _broken(index, worker.doing, order, what, value)
+                yield "again" if index in seen else "seen", found
+                seen.add(index)
 
 
-def _broken(worker: _Worker, order: _Order, what: str, sentence: str) -> Seen:
+def _broken(index: int, doing: str, order: _Order, what: str, sentence: str) -> Seen:
     """A scene that ended its process, or that its process did not end."""
-    assert worker.index is not None
-    drawn = draw_scene(order.seed, worker.index)
-    name, _, other = worker.doing.partition(" against ")
+    drawn = draw_scene(order.seed, index)
+    name, _, other = doing.partition(" against ")
     other = other if other not in ("", "truth") else _name(order.reference)
     kind = Kind(name or "unknown", what)
-    doing = f" ({worker.doing})" if worker.doing else ""
     failure = Failure(
         kind=kind,
         renderer=name,
         reference=other,
-        sentence=sentence + doing,
+        sentence=sentence + (f" ({doing})" if doing else ""),
         scene=drawn.scene,
-        index=worker.index,
+        index=index,
         theme=drawn.theme,
     )
-    return Seen(worker.index, drawn.theme, drawn.twists, {}, [failure], Counter([kind]))
+    return Seen(index, drawn.theme, drawn.twists, {}, [failure], Counter([kind]))
 
 
 # ---- what is kept
@@ -749,7 +659,6 @@ def _save(result: Campaign, failure: Failure, output: Path) -> Path:
     with write_beside(path) as temporary:
         temporary.write_text(scene.text(), encoding="utf-8")
     names = list(dict.fromkeys([failure.renderer, failure.reference]))
-    entry = _record(failure, result.seed) | {"versions": result.versions, "commands": []}
     x, y = failure.at or (0, 0)
     commands = [explain_command(str(path), scene, Settings(), x, y, names)] if failure.at else []
     if len(names) > 1:
@@ -757,9 +666,8 @@ def _save(result: Campaign, failure: Failure, output: Path) -> Path:
     elif failure.kind.what == "disproved":
         commands.append(shlex.join(["whitted", "truth", str(path), "--renderer", names[0], "--pixels", "all"]))
     commands.append(repeat(result.seed, failure.index, names))
-    entry["commands"] = commands
-    with write_beside(path.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(json_value(entry), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    fields = _record(failure, result.seed) | {"versions": result.versions, "commands": commands}
+    records.write(path.with_suffix(".json"), records.result("failure", fields))
     return path
 
 
@@ -825,15 +733,14 @@ def print_campaign(result: Campaign) -> None:
             click.echo(f"{what}: " + ", ".join(f"{name} {count}" for name, count in sorted(counter.items())))
     for kind, found in result.kinds.items():
         text = f"{kind.renderer}: {' '.join(filter(None, (kind.what, kind.pass_name, kind.decision)))}"
-        scenes = f"{found.scenes} scene{'s'[: found.scenes != 1]}"
+        scenes = counted(found.scenes, "scene")
         click.secho(f"{text}: {found.count} in {scenes}: {found.smallest.sentence}", fg="red", color=colorful())
         again = repeat(result.seed, found.smallest.index, (found.smallest.renderer, found.smallest.reference))
         click.echo(f"  {found.path or again}")
     print_failures(result)
     speed = f", {result.seconds / result.done:.2g} s a scene" if result.done else ""
-    end = "interrupted: " if result.interrupted else ""
     click.echo(
-        f"{end}{result.done} of {result.asked} scenes of seed {result.seed} from index {result.first} in "
+        f"{result.progress} of seed {result.seed} from index {result.first} in "
         f"{duration(result.seconds)}{speed}: "
-        + (f"{len(result.kinds)} kind{'s'[: len(result.kinds) != 1]} of failures" if result.kinds else "all explained")
+        + (f"{counted(len(result.kinds), 'kind')} of failures" if result.kinds else "all explained")
     )

@@ -12,6 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from validation.terminal import counted
+
 #: Levels of an image up to a maximum of 255, or of 65535.
 Levels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -204,7 +206,7 @@ def _raw(data: bytes, at: int, size: tuple[int, int], maximum: int) -> Levels:
         raise ImageError("its header ends in CR LF, so every sample would be off by a byte", hint)
     if have > need:
         if _is_text_mode(data, need):
-            extra = f"{have - need} byte{'s'[: have - need > 1]} too many, a carriage return before each line feed"
+            extra = f"{counted(have - need, 'byte')} too many, a carriage return before each line feed"
             raise ImageError(f"it has {extra}", 'written in text mode? open the file in binary mode, "wb"')
         if not data[start + need :].isspace():
             hint = numbers_hint if as_text else ""

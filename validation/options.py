@@ -110,7 +110,7 @@ class Size(click.ParamType[tuple[int, int]]):
         """Two positive integers."""
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"0*([0-9]+)x0*([0-9]+)", value)
+        found = re.fullmatch(r"0*([0-9]+)[xX]0*([0-9]+)", value)
         if not found:
             self.fail(f"'{value}' is not a size such as 400x300", param, ctx)
         if "0" in found.groups():
@@ -248,7 +248,10 @@ def loudness_options(
     quieter: str = "No progress; of the results the last line alone.",
     louder: str = "Say on stderr what is being done, with times.",
 ) -> Callable[[Function], Function]:
-    """--quiet and --verbose, in words where they do more; see `quiet` and `verbose`."""
+    """--quiet and --verbose, in words where they do more; see `quiet` and `verbose`.
+
+    `convert` and `renderers` have neither: they are done at once, and say nothing that was not asked for.
+    """
 
     def decorate(function: Function) -> Function:
         extra: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _remember}

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from validation.compare import Comparison, Record
+    from validation.compare import Comparison
+    from validation.records import Record
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.passes import Passes, lookup, names, write_beside
-from validation.compare import json_value
+from validation import records
 from validation.explain import of_light, of_sphere
 from validation.explain_text import vector, wrapped
 from validation.follow import KINDS, Key
+from validation.processes import deferred
+from validation.records import Record, json_value
 from validation.run import versions
 from validation.terminal import number
 from validation.timing import TimeLeft
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
     from validation.renderers import Settings
 
 Pixel: TypeAlias = tuple[int, int]
-Record: TypeAlias = dict[str, Any]
 
 #: As a number of pixels: all that there are.
 ALL = sys.maxsize
@@ -266,6 +267,22 @@ class Image:
             self.arrays[name][truth.y, truth.x] = values if lookup(name).channels else values[0]
 
 
+@dataclass
+class Told:
+    """What `tell` has told: lines to print, how many pixels are proved of how many, and the files that are written."""
+
+    asked: int
+    lines: list[str] = field(default_factory=list)
+    proved: int = 0
+    files: list[Path] = field(default_factory=list)
+    interrupted: bool = False
+
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{self.proved} of {self.asked} pixels"
+
+
 def tell(
     scenes: Mapping[str, Scene],
     pixels: int | Sequence[Pixel],
@@ -277,59 +294,95 @@ def tell(
     output: Path | None = None,
     command: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
-) -> list[str]:
-    """Prove pixels of scenes, that many random ones or those named; returns the lines that say what they are.
+) -> Told:
+    """Prove pixels of scenes, that many random ones or those named, and tell what they are.
 
-    `output` takes the image of the one scene.
+    `output` takes the image of the one scene. Ctrl-C ends it with what there is, but for the image, which would lack
+    some.
 
     Raises:
         truth.UnprovedError: a pixel that could not be proved.
         OSError: a file cannot be written.
     """
-    lines: list[str] = []
-    by = versions(())
+    sizes = [scene.view.columns * scene.view.rows for scene in scenes.values()]
+    counts = [min(pixels, size) if isinstance(pixels, int) else len(pixels) for size in sizes]
+    told, by = Told(sum(counts)), versions(())
     with ExitStack() as stack:
         file = None
         if json_file:
             # A line a pixel, as they come: whole images do not have to fit into the memory.
             file = stack.enter_context(stack.enter_context(write_beside(json_file)).open("w", encoding="utf-8"))
+            told.files.append(json_file)
 
         def write(text: str) -> None:
             if file:
                 file.write(text)
 
-        head = {"command": list(command), "settings": vars(settings).copy(), "versions": by, "seed": seed}
-        write(_json(head).removesuffix("}") + ',\n"scenes": [')
+        fields = {"command": list(command), "settings": vars(settings).copy(), "versions": by, "seed": seed}
+        write(_json(records.result("truth", fields)).removesuffix("}") + ',\n"scenes": [')
         for place, (label, scene) in enumerate(scenes.items()):
-            columns, rows = scene.view.columns, scene.view.rows
             at = choose(scene, pixels, seed) if isinstance(pixels, int) else pixels
-            summary, image = Summary(), Image(scene, settings) if output else None
-            lines.append(f"{label} {columns}x{rows}" + ", every pixel" * (len(at) == columns * rows))
-            opening = _json({"scene": label, "size": [columns, rows]}).removesuffix("}")
+            image = Image(scene, settings) if output else None
+            opening = _json({"scene": label, "size": [scene.view.columns, scene.view.rows]}).removesuffix("}")
             write("," * bool(place) + f'\n{opening}, "pixels": [')
-            start = _busy()
-            found = stack.enter_context(closing(proved(scene, at, settings, jobs=jobs)))
-            left = TimeLeft(len(at))
-            for count, truth in enumerate(found):
-                if progress and count % 100 == 0:
-                    progress(f"{label}: {count} of {len(at)} pixels proved{left.says(count)}")
-                summary.add(truth)
-                if image:
-                    image.add(truth)
-                if len(at) <= SHOWN:
-                    lines += block(truth, scene)
-                if file:
-                    write("," * bool(count) + "\n" + _json(pixel_record(truth, scene)))
+            start, left = _busy(), TimeLeft(len(at))
+            with closing(proved(scene, at, settings, jobs=jobs)) as found:
+                shown = _shown(found, progress, label, len(at), left)
+                summary = _tell_scene(told, label, scene, at, shown, image, write if file else None)
             summary.seconds = _busy() - start
             if len(at) > SHOWN:
-                lines += summary.lines()
+                told.lines += summary.lines()
             write(f'],\n"summary": {_json(summary.record())}}}')
+            if told.interrupted:
+                break
             if image and output:
                 metadata = {"renderer": "truth", "scene": scene.text(), "command": shlex.join(command)}
                 metadata |= {f"version of {key}": value for key, value in by.items()}
                 Passes(image.arrays, metadata).save(output)
-        write("]}\n")
-    return lines
+                told.files.append(output)
+        write(f'],\n"interrupted": {_json(told.interrupted)}}}\n')
+    return told
+
+
+def _shown(
+    found: Iterable[Truth], progress: Callable[[str], None] | None, label: str, count: int, left: TimeLeft
+) -> Iterator[Truth]:
+    """The same, with progress."""
+    for place, truth in enumerate(found):
+        if progress and place % 100 == 0:
+            progress(f"{label}: {place} of {count} pixels proved{left.says(place)}")
+        yield truth
+
+
+def _tell_scene(
+    told: Told,
+    label: str,
+    scene: Scene,
+    at: Sequence[Pixel],
+    found: Iterable[Truth],
+    image: Image | None,
+    write: Callable[[str], None] | None,
+) -> Summary:
+    """The pixels of one scene, as they come."""
+    summary, columns, rows = Summary(), scene.view.columns, scene.view.rows
+    told.lines.append(f"{label} {columns}x{rows}" + ", every pixel" * (len(at) == columns * rows))
+    try:
+        for truth in found:
+            # A pixel is told as a whole, or not at all.
+            with deferred():
+                if write:
+                    write("," * bool(summary.pixels) + "\n" + _json(pixel_record(truth, scene)))
+                summary.add(truth)
+                told.proved += 1
+                if image:
+                    image.add(truth)
+                if len(at) <= SHOWN:
+                    told.lines += block(truth, scene)
+    except KeyboardInterrupt:
+        if not told.proved:
+            raise
+        told.interrupted = True
+    return summary
 
 
 def _json(value: Any) -> str:

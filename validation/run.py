@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
+import functools
 import importlib.metadata
 import itertools
 import math
@@ -22,10 +22,12 @@ import numpy as np
 import tracer
 import tracer.margins
 from tracer._render import check_memory as room_for
+from tracer.near import near
 from tracer.passes import TABLE, Passes, lookup, names
-from validation import pairs, renderers
-from validation.compare import Comparison, Judge, Record, compare_passes, json_value, without_maps
+from validation import pairs, records, renderers
+from validation.compare import Comparison, Judge, compare_passes, without_maps
 from validation.encoding import Encoding
+from validation.records import Record
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.timing import TimeLeft
 
@@ -189,7 +191,7 @@ class Validation(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        entry: Record = {
+        fields: Record = {
             "ok": self.ok,
             "command": list(self.command),
             "settings": vars(self.settings).copy(),
@@ -202,8 +204,7 @@ class Validation(Outcome):
             "failures": [vars(note).copy() for note in self.failures],
             "unfinished": list(self.unfinished),
         }
-        strict: Record = json_value(entry)
-        return strict
+        return records.result("validate", fields)
 
 
 class SceneFilesError(ValueError):
@@ -319,8 +320,8 @@ def scene_files(paths: Iterable[str | Path]) -> list[Path]:
         elif path.exists() or path == STDIN:
             files.append(path)
         else:
-            near = _near(path)
-            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{near}'?" * bool(near))
+            meant = _near(path)
+            wrong.append(f"{path}: error: no such file or folder" + f"\n  hint: did you mean '{meant}'?" * bool(meant))
     if wrong:
         raise SceneFilesError(wrong)
     return list(dict.fromkeys(files))
@@ -337,8 +338,8 @@ def _near(path: Path) -> Path | None:
     except OSError:
         return None
     # Without the ending, which all have in common.
-    near = difflib.get_close_matches(path.name.removesuffix(".txt"), names, n=1, cutoff=0.75)
-    return path.parent / names[near[0]] if near else None
+    meant = near(path.stem if path.suffix.lower() == ".txt" else path.name, names, cutoff=0.75)
+    return path.parent / names[meant] if meant else None
 
 
 def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str, Scene]:
@@ -505,19 +506,25 @@ def validate(
     for place, (label, at_size) in enumerate(at_sizes.items()):
         shared = _Shared(flip)
         for number, (one, other) in enumerate(chosen, place * len(chosen)):
-            if progress:
-                # First what must not be cut off.
-                count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
-                where = f"{count}{left.says(number)}".removeprefix(", ")
-                progress(f"{where}{': ' * bool(where)}{label}: {one.name} against {other.name}")
+            # First what must not be cut off.
+            count = f"scene {place + 1} of {len(at_sizes)}" * (len(at_sizes) > 1)
+            where = f"{count}{left.says(number)}".removeprefix(", ")
+            say = functools.partial(_say, progress, where, f"{label}: {one.name} against {other.name}")
+            say("")
             try:
-                _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered)
+                _pair(result, label, at_size, one, other, passes, Amount(verdicts, first), shared, on_rendered, say)
             except _PairError as error:
                 result.fail(error.note)
         result.unfinished = labels[place + 1 :]
         if on_scene:
             on_scene(result)
     return result
+
+
+def _say(progress: Callable[[str], None] | None, where: str, pair: str, what: str) -> None:
+    """How far a pair is."""
+    if progress:
+        progress(": ".join(filter(None, (where, what, pair))))
 
 
 def check_passes(wanted: Iterable[str]) -> None:
@@ -580,6 +587,7 @@ def _pair(
     verdicts: Amount,
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
+    say: Callable[[str], None],
 ) -> None:
     """Compare one pair on one scene; what is drawn once is kept for the next pair."""
     settings = result.settings
@@ -643,7 +651,7 @@ def _pair(
         rounds.append((small, rest, drawing_of))
     for size, compared, drawing in rounds:
         at_size = resized(scene, size)
-        _compare(result, label, at_size, first, second, compared, verdicts, drawing, shared, on_rendered)
+        _compare(result, label, at_size, first, second, compared, verdicts, drawing, shared, on_rendered, say)
 
 
 def _in_time(side: Renderer, scene: Scene, passes: Sequence[str]) -> list[str]:
@@ -674,6 +682,7 @@ def _compare(
     draw: Mapping[str, Sequence[str]],
     shared: _Shared,
     on_rendered: Callable[[Rendered], None] | None,
+    say: Callable[[str], None],
 ) -> None:
     """Compare passes of one pair at the size of the scene; `draw`: what either draws at this size."""
     settings, at = result.settings, (scene.view.columns, scene.view.rows)
@@ -715,7 +724,16 @@ def _compare(
             court = shared.courts[at]
             pair = sides[0], sides[1]
             judged = verdict.judge(
-                scene, label, settings, analysis, *pair, found, most=verdicts.most, first=verdicts.first, court=court
+                scene,
+                label,
+                settings,
+                analysis,
+                *pair,
+                found,
+                most=verdicts.most,
+                first=verdicts.first,
+                court=court,
+                progress=say,
             )
         except verdict.RulesError as error:
             result.fail(Note(label, error.renderer, str(error)))

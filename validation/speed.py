@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 import json
+import math
 import os
 import platform
 import random
@@ -24,14 +24,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from tracer.passes import Passes
-from validation import renderers
+from validation import records, renderers
 from validation.certify import Proof, prove_scene
-from validation.compare import Record, json_value
+from validation.processes import deferred, end
+from validation.records import Record
 from validation.renderers import Settings
 from validation.renderers.mitsuba.mesh import FAMILY, MOST_SUBDIVISIONS, SUBDIVISIONS
 from validation.run import Note, resized, shrink, versions
 from validation.speed_errors import Errors, measure
 from validation.speed_plot import Panel, Point, front
+from validation.terminal import counted
+from validation.timing import now
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
@@ -47,12 +50,11 @@ PIXELS = 400 * 400
 #: Proved pixels: chosen at random, and with the smallest margins.
 RANDOM, EDGES = 400, 50
 ROUNDS, SECONDS, LIMIT = 15, 1.0, 160.0
+LATE = "the time was up: --limit gives more"
 #: A picture within a round is drawn again and again for so long, so that the clock can tell it.
 BURST, MOST_IN_BURST = 0.02, 20
 #: Fewer pictures than that have no quartiles.
 LEAST_RUNS = 3
-#: Seconds that a process has to end what it has started.
-MOMENT = 2.0
 #: Seconds that a first picture may take.
 PATIENCE = 90.0
 #: Renderers whose compiler keeps what it made in a folder of the user.
@@ -76,6 +78,8 @@ class Entry:
     renderer: str
     isa: str
     threads: int
+    #: What was typed, where that stands for several.
+    group: str = field(default="", compare=False)
 
     @property
     def name(self) -> str:
@@ -129,6 +133,16 @@ class Measured:
         """Nanoseconds, of a warm picture."""
         return self.warm.median * 1e9 / (self.size[0] * self.size[1])
 
+    @property
+    def rmse(self) -> float:
+        """At the random pixels; infinite where there is none that the specification settles: that is no front."""
+        return math.inf if self.errors.random_rmse is None else self.errors.random_rmse
+
+    @property
+    def spread(self) -> float:
+        """The standard error of that."""
+        return self.errors.random_spread or 0.0
+
     def record(self) -> Record:
         """For JSON."""
         return {
@@ -176,7 +190,7 @@ class Speed:
     """What was measured, what was left out and why, and the machine."""
 
     settings: Settings
-    options: Mapping[str, Any]
+    options: dict[str, Any]
     scenes: list[SceneSpeed] = field(default_factory=list)
     left_out: list[Note] = field(default_factory=list)
     failures: list[Note] = field(default_factory=list)
@@ -185,6 +199,7 @@ class Speed:
     kernels: Kernels | None = None
     command: Sequence[str] = ()
     seconds: float = 0.0
+    interrupted: bool = False
 
     @property
     def status(self) -> int:
@@ -192,10 +207,18 @@ class Speed:
         measured = any(scene.measured for scene in self.scenes) or self.kernels
         return 0 if measured and not self.failures else 3
 
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return counted(sum(len(scene.measured) for scene in self.scenes), "measurement")
+
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "speed",
             {
+                "ok": self.status == 0 and not self.interrupted,
+                "interrupted": self.interrupted,
                 "command": list(self.command),
                 "machine": self.machine,
                 "versions": self.versions,
@@ -206,14 +229,13 @@ class Speed:
                 "left_out": [vars(note).copy() for note in self.left_out],
                 "failures": [vars(note).copy() for note in self.failures],
                 "kernels": self.kernels.record() if self.kernels else None,
-            }
+            },
         )
-        return strict
 
 
 def threads(count: int) -> str:
     """In words."""
-    return f"{count} thread{'s'[: count > 1]}"
+    return counted(count, "thread")
 
 
 # ---- the machine
@@ -229,7 +251,7 @@ def processors() -> list[int]:
 def machine() -> dict[str, Any]:
     """What decides about times beside the programs."""
     return {
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "date": now(),
         "processor": processor(),
         "processors": len(processors()),
         "memory": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
@@ -273,12 +295,14 @@ def entries(names: Sequence[str] | None, counts: Sequence[int] | None) -> list[E
     several = tuple(dict.fromkeys(min(count, every) or every for count in counts or (1, 0)))
     found: list[Entry] = []
     for name in names if names is not None else _all_names():
-        for renderer, isa in _variants(name):
+        variants = _variants(name)
+        group = name if len(variants) > 1 else ""
+        for renderer, isa in variants:
             if renderer.startswith("numpy-"):
                 own: Sequence[int] = (1,)
             else:
                 own = several if counts or renderer.startswith("native-") else (every,)
-            found += [Entry(renderer, isa, count) for count in own]
+            found += [Entry(renderer, isa, count, group) for count in own]
     return list(dict.fromkeys(found))
 
 
@@ -399,13 +423,10 @@ class Process:
 
     def close(self) -> None:
         """End it, and all that it has started; one that is at work gets a moment to end a program."""
-        if self._asked and self._process.poll() is None:
-            self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(MOMENT)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        pid = self._process.pid
+        with deferred():
+            end([pid], [pid] if self._asked and self._process.poll() is None else [])
+            self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._errors):
             if stream:
                 with contextlib.suppress(OSError):  # what was not sent
@@ -417,11 +438,14 @@ def process(isa: str = "", cpus: Sequence[int] = (), *, compiles: bool = False) 
     """A process that ends with the block, and all that it has left with it; see Process."""
     folder = Path(tempfile.mkdtemp(prefix="whitted-"))
     try:
-        opened = Process(folder, isa, cpus, compiles=compiles)
+        opened = None
         try:
+            with deferred():
+                opened = Process(folder, isa, cpus, compiles=compiles)
             yield opened
         finally:
-            opened.close()
+            if opened:
+                opened.close()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -464,7 +488,7 @@ def speed(
 
     `named`: someone asked for these entries, so one that cannot run is a failure. `rounds`: pictures of each, taken in
     turns, fewer where they take longer than `seconds`. `limit`: seconds for all scenes; what would begin later is left
-    out. `pixels`, `edges`: how many are proved.
+    out. `pixels`, `edges`: how many are proved. Ctrl-C ends it with what there is.
     """
     start, settings = time.perf_counter(), settings or Settings()
     say = progress or (lambda _: None)
@@ -484,6 +508,12 @@ def speed(
             run.measure(chosen, rounds=rounds, seconds=seconds, pixels=pixels, edges=edges, seed=seed, jobs=jobs)
         except UnprovedError as error:
             result.failures.append(Note(label, "", str(error)))
+        except KeyboardInterrupt:
+            if not any(other.measured for other in result.scenes):
+                raise
+            result.interrupted = True
+        if result.interrupted:
+            break
     result.machine["load"]["after"] = load()
     result.seconds = time.perf_counter() - start
     return result
@@ -522,7 +552,7 @@ class _SceneRun:
                 reserve = sum(max(LEAST_RUNS * one.first, min(seconds, rounds * BURST)) for one in running)
                 if running and time.perf_counter() + reserve > self.end:
                     for late, _, _ in surveyed[place:]:
-                        self.leave_out(late, "the time was up: --limit gives more")
+                        self.leave_out(late, LATE)
                     break
                 if at not in proofs:
                     self.say(f"{self.label}: proving pixels at {at[0]}x{at[1]}")
@@ -532,7 +562,10 @@ class _SceneRun:
                 self.say(f"{self.label}: {entry.name}, {threads(entry.threads)}: first picture")
                 if opened := self.start(stack, entry, asked, at):
                     running.append(opened)
-            self.warm(running, rounds, seconds)
+            try:
+                self.warm(running, rounds, seconds)
+            except KeyboardInterrupt:
+                self.result.interrupted = True  # what has been drawn counts
         for one in running:
             steps = one.picture.metadata.get("levels")
             try:
@@ -544,8 +577,7 @@ class _SceneRun:
             if one.samples:
                 warm, busy = Spread.of(one.samples), Spread.of(one.busy)
                 found.measured.append(Measured(one.entry, size, one.cold, warm, busy, one.memory, off))
-        points = [(m.per_pixel, m.errors.random_rmse) for m in found.measured]
-        best = front(points, [m.errors.random_spread for m in found.measured])
+        best = front([(m.per_pixel, m.rmse) for m in found.measured], [m.spread for m in found.measured])
         marked = [replace(m, front=on) for m, on in zip(found.measured, best, strict=True)]
         found.measured = sorted(marked, key=lambda m: m.per_pixel)
 
@@ -562,6 +594,7 @@ class _SceneRun:
     def survey(self, chosen: Sequence[Entry]) -> list[tuple[Entry, dict[str, Any], tuple[int, int]]]:
         """The entries that can draw the scene, what is asked of them, and at which size."""
         found, told = [], {}
+        absent: list[tuple[Entry, str]] = []
         with ExitStack() as stack:
             surveyor = stack.enter_context(process())
             for entry in chosen:
@@ -577,10 +610,7 @@ class _SceneRun:
                     surveyor = stack.enter_context(process())  # the other may have ended
                     continue
                 if reason := answer.get("unavailable"):
-                    if self.named:
-                        self.fail(entry, f"cannot run here: {reason}")
-                    else:
-                        self.leave_out(entry, f"cannot run here: {reason}")
+                    absent.append((entry, f"cannot run here: {reason}"))
                 elif reason := answer.get("refused"):
                     self.leave_out(entry, reason)
                 elif "size" in answer:
@@ -590,6 +620,10 @@ class _SceneRun:
                             known[key if known.get(key, value) == value else f"{entry.renderer}: {key}"] = value
                     at: tuple[int, int] = tuple(answer["size"])
                     found.append((entry, self.request(entry, resized(self.scene, at)), at))
+        here = {entry.group for entry, _, _ in found}
+        for entry, reason in absent:
+            # Of a family that was asked for, one has to be here.
+            (self.fail if self.named and not (entry.group and entry.group in here) else self.leave_out)(entry, reason)
         return found
 
     def request(self, entry: Entry, scene: Scene) -> dict[str, Any]:
@@ -648,15 +682,16 @@ def panels(result: Speed) -> list[Panel]:
     """What the plot shows."""
     return [
         Panel(
-            f"{scene.label}, {scene.size[0]}x{scene.size[1]}: {scene.spheres} spheres, {scene.lights} lights",
+            f"{scene.label}, {scene.size[0]}x{scene.size[1]}: "
+            f"{counted(scene.spheres, 'sphere')}, {counted(scene.lights, 'light')}",
             [
                 Point(
                     m.entry.name,
                     m.entry.family,
                     m.entry.threads,
                     m.per_pixel,
-                    m.errors.random_rmse,
-                    m.errors.random_spread,
+                    m.rmse,
+                    m.spread,
                 )
                 for m in scene.measured
             ],

@@ -20,16 +20,17 @@ class Errors:
     channels of `beauty`, over all channels of all these pixels. `random_spread`: the standard error of `random_rmse`,
     by how much other random pixels would change it. `wrong`: of all proved pixels those whose primary hit
     is another sphere, or a light is seen that is hidden there or the other way round; None: the picture does not tell.
+    None where there is no such pixel.
     `levels_off`: random pixels with a channel whose byte is another, by at most `levels_max`.
     """
 
     random: int
-    random_max: float
-    random_rmse: float
-    random_spread: float
+    random_max: float | None
+    random_rmse: float | None
+    random_spread: float | None
     edge: int
-    edge_max: float
-    edge_rmse: float
+    edge_max: float | None
+    edge_rmse: float | None
     wrong: int | None
     levels_off: int
     levels_max: int
@@ -67,14 +68,16 @@ def measure(drawn: Mapping[str, NDArray[np.generic]], proof: Proof, *, steps: in
     )
 
 
-def _sizes(error: NDArray[np.float64]) -> tuple[float, float]:
+def _sizes(error: NDArray[np.float64]) -> tuple[float | None, float | None]:
     if not error.size:
-        return 0.0, 0.0
+        return None, None
     return float(error.max()), float(np.sqrt(np.mean(np.square(error))))
 
 
-def _spread(error: NDArray[np.float64]) -> float:
+def _spread(error: NDArray[np.float64]) -> float | None:
     """Of the root of a mean m, to first order: its standard error over 2 sqrt(m)."""
+    if not error.size:
+        return None
     squares = np.square(error).mean(axis=1)
     if len(squares) < 2 or not 0 < squares.mean() < np.inf:
         return 0.0

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tracer import Light, Scene, Sphere, View
-from validation.compare import Record, json_value
+from validation.records import Record
 from validation.renderers import Settings
 from validation.run import resized
-from validation.speed import Process, Spread, WorkerError, instruction_sets, process, processors
+from validation.speed import LATE, LIMIT, Process, Spread, WorkerError, instruction_sets, process, processors
 
 if TYPE_CHECKING:
     from tracer.passes import Precision
@@ -126,6 +126,7 @@ class Kernels:
     written: tuple[int, Spread, Spread] | None = None
     left_out: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    interrupted: bool = False
 
     def record(self) -> Record:
         """For JSON."""
@@ -134,18 +135,15 @@ class Kernels:
             size, wrote, drew = self.written
             written = {"bytes": size, "write": asdict(wrote), "draw": asdict(drew)}
             written["bytes_per_second"] = size / wrote.median
-        strict: Record = json_value(
-            {
-                "scene": self.scene,
-                "rows": [row.record() for row in self.rows],
-                "limits": [limit.record() for limit in self.limits],
-                "fits": {what: asdict(fit) | {"linear": fit.linear} for what, fit in self.fits.items()},
-                "written": written,
-                "left_out": self.left_out,
-                "seconds": self.seconds,
-            }
-        )
-        return strict
+        return {
+            "scene": self.scene,
+            "rows": [row.record() for row in self.rows],
+            "limits": [limit.record() for limit in self.limits],
+            "fits": {what: asdict(fit) | {"linear": fit.linear} for what, fit in self.fits.items()},
+            "written": written,
+            "left_out": self.left_out,
+            "seconds": self.seconds,
+        }
 
 
 def fit(numbers: Sequence[float], times: Sequence[float]) -> Fit:
@@ -263,8 +261,10 @@ class _Task:
 class _Bench:
     """A process for every instruction set, and what they measured."""
 
-    def __init__(self, stack: ExitStack, result: Kernels, say: Callable[[str], None], seconds: float) -> None:
-        self.result, self.say, self.seconds = result, say, seconds
+    def __init__(
+        self, stack: ExitStack, result: Kernels, say: Callable[[str], None], seconds: float, end: float
+    ) -> None:
+        self.result, self.say, self.seconds, self.end = result, say, seconds, end
         self.processes: dict[str, Process] = {}
         for isa in instruction_sets():
             opened = stack.enter_context(process(isa))
@@ -282,6 +282,8 @@ class _Bench:
 
     def measure(self, tasks: Sequence[_Task], between: Callable[[], None] | None = None) -> list[Row]:
         """Pictures in turns, in another order every round; `between`: what else is done in each."""
+        if self.late(tasks[0].group):
+            return []
         ready = [task for task in tasks if self._open(task)]
         samples: dict[_Task, list[Record]] = {task: [] for task in ready}
         end, shuffled = time.perf_counter() + self.seconds, random.Random(0)
@@ -311,6 +313,13 @@ class _Bench:
             rows.append(Row(*same, warm, busy, Spread.of(ratios)))
         self.result.rows += rows
         return rows
+
+    def late(self, group: str) -> bool:
+        """Whether the time is up; what does not begin any more is left out."""
+        up = time.perf_counter() > self.end
+        if up:
+            self.result.left_out.append(f"kernels by {group}: {LATE}")
+        return up
 
     def _open(self, task: _Task) -> bool:
         free = _free_memory()
@@ -350,62 +359,76 @@ def kernels(
     counts: Sequence[int] = COUNTS,
     edge: int = 1000,
     seconds: float = SECONDS,
+    limit: float = LIMIT,
     progress: Callable[[str], None] | None = None,
 ) -> Kernels:
     """Measure the kernels on scenes, all but the instruction sets on the first, and with many spheres and lights.
 
     `size`: where instruction sets are compared; `edge`: columns and rows where threads are; `seconds`: for each kind,
-    about.
+    about; `limit`: for all, what would begin later is left out. Ctrl-C ends it with what there is.
     """
-    label, scene = next(iter(scenes.items()))
-    start, result, settings = time.perf_counter(), Kernels(label), settings or Settings()
-    every = len(processors())
-    with ExitStack() as stack:
-        bench = _Bench(stack, result, progress or (lambda _: None), seconds)
-        if not bench.processes:
-            return result
-        best = bench.best
-        for name, other in scenes.items():
-            _instruction_sets(bench, name, resized(other, size or (STANDARD, STANDARD), limits=False), settings)
-
-        def vary(group: str, tasks: Mapping[int, Scene], count: int = 1, **changes: Any) -> list[Row]:
-            return bench.measure(
-                [
-                    _Task(group, value, best, precision, count, varied, settings, **changes)
-                    for precision in PRECISIONS
-                    for value, varied in tasks.items()
-                ]
-            )
-
-        vary("size", {n: resized(scene, (n, n), limits=False) for n in sizes}, every)
-        by_spheres = vary("spheres", {n: made(spheres=n) for n in counts})
-        by_lights = vary("lights", {n: made(lights=n) for n in counts})
-        for what, rows in (("sphere", by_spheres), ("light", by_lights)):
-            for precision in PRECISIONS:
-                of = [row for row in rows if row.precision == precision]
-                if len(of) > 1:
-                    numbers = [float(row.value) for row in of]
-                    # The least processor time of each: what others do at the same time says nothing about the kernels.
-                    result.fits[f"{what}, {precision}"] = fit(numbers, [row.busy.least for row in of])
-        facing = mirrors()
-        bench.measure(
-            [
-                _Task("reflections", n, best, precision, 1, facing, Settings(max_reflections=n))
-                for precision in PRECISIONS
-                for n in REFLECTIONS
-            ]
-        )
-        use = dict.fromkeys([2**k for k in range(every.bit_length()) if 2**k <= every] + [every])
-        bench.measure(
-            [
-                _Task("threads", n, best, precision, n, resized(scene, (edge, edge), limits=False), settings)
-                for precision in PRECISIONS
-                for n in use
-            ]
-        )
-        _write(bench, scene, settings, min(WRITTEN, max(sizes)))
+    start, result = time.perf_counter(), Kernels(next(iter(scenes)))
+    try:
+        with ExitStack() as stack:
+            bench = _Bench(stack, result, progress or (lambda _: None), seconds, start + limit)
+            if bench.processes:
+                _measure(bench, scenes, settings or Settings(), size, sizes, counts, edge)
+    except KeyboardInterrupt:
+        result.interrupted = True
     result.seconds = time.perf_counter() - start
     return result
+
+
+def _measure(
+    bench: _Bench,
+    scenes: Mapping[str, Scene],
+    settings: Settings,
+    size: tuple[int, int] | None,
+    sizes: Sequence[int],
+    counts: Sequence[int],
+    edge: int,
+) -> None:
+    """All groups of measurements, one after the other."""
+    scene, every, best = next(iter(scenes.values())), len(processors()), bench.best
+    for name, other in scenes.items():
+        _instruction_sets(bench, name, resized(other, size or (STANDARD, STANDARD), limits=False), settings)
+
+    def vary(group: str, tasks: Mapping[int, Scene], count: int = 1) -> list[Row]:
+        return bench.measure(
+            [
+                _Task(group, value, best, precision, count, varied, settings)
+                for precision in PRECISIONS
+                for value, varied in tasks.items()
+            ]
+        )
+
+    vary("size", {n: resized(scene, (n, n), limits=False) for n in sizes}, every)
+    by_spheres = vary("spheres", {n: made(spheres=n) for n in counts})
+    by_lights = vary("lights", {n: made(lights=n) for n in counts})
+    for what, rows in (("sphere", by_spheres), ("light", by_lights)):
+        for precision in PRECISIONS:
+            of = [row for row in rows if row.precision == precision]
+            if len(of) > 1:
+                numbers = [float(row.value) for row in of]
+                # The least processor time of each: what others do at the same time says nothing about the kernels.
+                bench.result.fits[f"{what}, {precision}"] = fit(numbers, [row.busy.least for row in of])
+    facing = mirrors()
+    bench.measure(
+        [
+            _Task("reflections", n, best, precision, 1, facing, Settings(max_reflections=n))
+            for precision in PRECISIONS
+            for n in REFLECTIONS
+        ]
+    )
+    use = dict.fromkeys([2**k for k in range(every.bit_length()) if 2**k <= every] + [every])
+    bench.measure(
+        [
+            _Task("threads", n, best, precision, n, resized(scene, (edge, edge), limits=False), settings)
+            for precision in PRECISIONS
+            for n in use
+        ]
+    )
+    _write(bench, scene, settings, min(WRITTEN, max(sizes)))
 
 
 def _instruction_sets(bench: _Bench, label: str, scene: Scene, settings: Settings) -> None:
@@ -435,6 +458,8 @@ def _write(bench: _Bench, scene: Scene, settings: Settings, edge: int) -> None:
         "write", edge, bench.best, "f32", len(processors()), resized(scene, (edge, edge), limits=False), settings
     )
     opened = bench.processes[bench.best]
+    if bench.late("writing"):
+        return
     with tempfile.TemporaryDirectory(prefix="whitted-") as folder:
         try:
             opened.ask("first", **task.request())

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tracer.passes import write_beside
+from validation.terminal import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,7 +183,7 @@ def _name(axis: Axes, points: Sequence[Point], best: Sequence[bool]) -> None:
         if len(label) > LONGEST:
             label = label[: LONGEST - 1] + "…"
         if best[k]:
-            label += f", {point.threads} thread{'s'[: point.threads > 1]}"
+            label += f", {counted(point.threads, 'thread')}"
         x, y = dots[k]
         paths: list[tuple[int, int, int, list[tuple[float, float]]]] = []
         for angle in (ANGLE, -ANGLE, 180 - ANGLE, 180 + ANGLE):

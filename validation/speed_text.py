@@ -16,7 +16,8 @@ from tracer.passes import write_beside
 from validation.report.report import MARK
 from validation.speed import Measured, SceneSpeed, Speed, caption, panels, threads
 from validation.speed_plot import write_plot
-from validation.terminal import NARROW, complain, console, number
+from validation.terminal import NARROW, complain, console, counted, number
+from validation.timing import duration
 
 if TYPE_CHECKING:
     from validation.run import Note
@@ -104,7 +105,7 @@ def print_speed(result: Speed) -> None:
             click.echo(line)
     for note in result.failures:
         complain(f"error: {_place(note)}{note.message}")
-    click.echo(f"{caption(result)}; {result.seconds:.0f} seconds")
+    click.echo(f"{caption(result)}; {duration(result.seconds)}")
 
 
 def left_out(result: Speed) -> Iterator[str]:
@@ -114,7 +115,7 @@ def left_out(result: Speed) -> Iterator[str]:
         together.setdefault((note.scene, note.message), []).append(note.renderer)
     for (scene, message), names in together.items():
         who = ", ".join(filter(None, names))
-        yield f"{scene}: {who}: {message}" if who else f"{scene}: {message}"
+        yield ": ".join(filter(None, (scene, who, message)))
 
 
 def _place(note: Note) -> str:
@@ -123,7 +124,7 @@ def _place(note: Note) -> str:
 
 def _title(scene: SceneSpeed) -> str:
     size = f"{scene.size[0]}x{scene.size[1]}"
-    return f"{scene.label} {size}: {scene.spheres} spheres, {scene.lights} lights"
+    return f"{scene.label} {size}: {counted(scene.spheres, 'sphere')}, {counted(scene.lights, 'light')}"
 
 
 def _print_scene(scene: SceneSpeed) -> None:

@@ -245,10 +245,18 @@ def _answer(worker: Worker, answers: TextIO) -> None:
         try:
             answer = handler(request)
         except Exception as error:  # whatever a renderer raises
-            text = str(error)
-            answer = {"error": f"{type(error).__name__}: {text}" if text else type(error).__name__}
+            answer = {"error": _words(error)}
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
+
+
+def _words(error: Exception) -> str:
+    """What a renderer says for people as it is, anything else with its kind."""
+    from validation.run import InputError, RendererError
+
+    if isinstance(error, InputError | RendererError):
+        return str(error).splitlines()[0]
+    return f"{type(error).__name__}: {error}".removesuffix(": ")
 
 
 if __name__ == "__main__":

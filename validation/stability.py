@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import multiprocessing
-import multiprocessing.connection
-import os
-import resource
-import signal
-import threading
 import time
-import traceback
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -24,11 +17,13 @@ import numpy as np
 
 import tracer
 from tracer.passes import lookup, write_beside
-from validation import certify, encoding, renderers
+from validation import certify, encoding, records, renderers
 from validation.certify import PROVED, Miss, Proof, prove_scene
-from validation.compare import Judge, Mask, Record, json_value
+from validation.compare import Judge, Mask
 from validation.ladders import LADDERS, SIDE, Ladder, get
 from validation.metrics import Array
+from validation.processes import Pool, Teller
+from validation.records import Record
 from validation.renderers import Renderer, Settings
 from validation.renderers.floats import UNIT_ROUNDOFF, uncertainty
 from validation.run import (
@@ -43,24 +38,22 @@ from validation.run import (
     versions,
     why_not,
 )
-from validation.terminal import colorful, console, number, print_failures
-from validation.timing import TimeLeft
+from validation.terminal import colorful, console, counted, number, print_failures
+from validation.timing import TimeLeft, duration, now
 from validation.truth import UnprovedError
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-    from multiprocessing.process import BaseProcess
-
     from tracer.passes import Precision
 
 Named: TypeAlias = str | Renderer
 
 #: Seconds that one renderer may take for a rung, and truth for all of its pixels.
 SECONDS = 120.0
-#: A process that has grown so large is replaced: Mitsuba keeps what it compiles.
-LARGEST_BYTES = 3 << 30
-#: Seconds that a process has to end what it has started.
-MOMENT = 2.0
+#: What a cell of the table means.
+LEGEND = (
+    "-: holds to the end; (1e5): from there on its claim excuses every pixel, or it refuses the scene; refused: all of "
+    "them; !1e5: it failed there, and is not asked again"
+)
 #: So many breaks are told in words.
 TOLD = 12
 
@@ -129,7 +122,7 @@ class Step:
         if self.not_numbers:
             words.append(f"{self.not_numbers} pixels of NaN or Inf")
         if found and found.wrong:
-            words.append(f"{found.wrong} wrong decision{'s'[: found.wrong != 1]}")
+            words.append(counted(found.wrong, "wrong decision"))
         if found and found.ratio is not None and not found.ratio <= 1:
             words.append(f"colours off by {number(found.ratio)} tolerances")
         return ", ".join(words)
@@ -369,129 +362,62 @@ def climb(
     )
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os.killpg(0, signal.SIGKILL)
-
-
-def _work(connection: Connection, tested: tuple[Named, ...], settings: Settings) -> None:
-    """A process: for each task that comes, say what came of it."""
-    # A group of its own: Ctrl-C is for the parent, and what it ends it ends with the programs started here.
-    os.setsid()
-    # Programs are in groups of their own: who is ended while one runs ends it, and takes its folder away.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    with contextlib.suppress(KeyboardInterrupt):
-        _answer(connection, tested, settings)
-
-
-def _answer(connection: Connection, tested: tuple[Named, ...], settings: Settings) -> None:
-    # Mitsuba makes its own integrators anew whenever another of its variants draws.
-    warnings.filterwarnings("ignore", message="The AST-transforming decorator")
-    while (task := connection.recv()) is not None:
-        try:
-            found = climb(task, tested, settings, lambda name: connection.send(("doing", name)))
-        except Exception as error:  # a fault of ours, which is told; the other rungs go on
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            words = f"{type(error).__name__} in {Path(where.filename).name}:{where.lineno}: {error}"
-            found = Rung(ladder=task.found.name, rung=task.rung), [f"{task.found.name} {task.rung}: {words}"]
-        connection.send(("done", found))
-        if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 > LARGEST_BYTES:
-            return
-
-
-class _Worker:
-    """One process and what it is doing."""
-
-    def __init__(self, tested: tuple[Named, ...], settings: Settings) -> None:
-        context = multiprocessing.get_context("spawn")  # a fork of a process in which Mitsuba has threads may hang
-        self.connection, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(target=_work, args=(theirs, tested, settings), daemon=True)
-        self.process.start()
-        theirs.close()
-        self.task: _Task | None = None
-        self.doing = ""
-        self.deadline = 0.0
-
-    def give(self, task: _Task, seconds: float) -> None:
-        self.task, self.doing, self.deadline = task, "", time.monotonic() + seconds
-        with contextlib.suppress(BrokenPipeError):  # it has ended: what waits for its answer sees that
-            self.connection.send(task)
-
-    def end(self) -> None:
-        """At once, with everything that it has started; one that draws gets a moment to end a program."""
-        assert self.process.pid is not None
-        if self.task is not None and self.process.is_alive():
-            self.process.terminate()
-            self.process.join(MOMENT)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
+def _work(tested: Sequence[Named], settings: Settings, seconds: float, task: _Task, teller: Teller) -> None:
+    """In another process: each renderer has so many seconds."""
+    teller.found(climb(task, tested, settings, lambda name: teller.doing(name, seconds)))
 
 
 Found: TypeAlias = tuple[Rung, list[str]]
 
 
+@dataclass
+class _Climbers:
+    """The tasks that are left, and by ladder the renderers that have failed there: they are not asked again."""
+
+    tasks: deque[_Task]
+    out: dict[str, set[str]] = field(default_factory=dict)
+
+    def following(self) -> _Task | None:
+        """The next task, without those."""
+        if not self.tasks:
+            return None
+        task = self.tasks.popleft()
+        return replace(task, failed={**dict.fromkeys(self.out.get(task.found.name, ()), ""), **task.failed})
+
+    def see(self, rung: Rung) -> None:
+        """Who has failed on a rung."""
+        self.out.setdefault(rung.ladder, set()).update(name for name, step in rung.steps.items() if step.failed)
+
+
+def _here(tasks: deque[_Task], tested: tuple[Named, ...], settings: Settings) -> Generator[Found]:
+    """In this process."""
+    climbers = _Climbers(tasks)
+    while task := climbers.following():
+        found = climb(task, tested, settings)
+        climbers.see(found[0])
+        yield found
+
+
 def _in_processes(
     tasks: deque[_Task], tested: tuple[Named, ...], settings: Settings, jobs: int, seconds: float
 ) -> Generator[Found]:
-    """In others, which are ended where they take too long; a renderer that ended its process is not asked again."""
-    workers: list[_Worker] = []
-    broken: dict[str, set[str]] = {}  # by ladder: renderers that crashed or hung there
-
-    def give(worker: _Worker) -> None:
-        if not tasks:
-            workers.remove(worker)
-            worker.end()
-            return
-        task = tasks.popleft()
-        out = {name: "" for name in broken.get(task.found.name, ()) if name not in task.failed}
-        worker.give(_Task(task.ladder, task.rung, {**task.failed, **out}), seconds)
-
-    def replace(worker: _Worker, words: str) -> Iterator[Found]:
-        """After a crash, or too long a time; what it was doing is done again without the culprit."""
-        worker.end()
-        workers.remove(worker)
-        if task := worker.task:
-            if worker.doing and not task.failed.get(worker.doing):
-                broken.setdefault(task.found.name, set()).add(worker.doing)
-                tasks.appendleft(_Task(task.ladder, task.rung, {**task.failed, worker.doing: words}))
+    """In others, which are ended where they take too long."""
+    climbers = _Climbers(tasks)
+    pool = Pool(functools.partial(_work, tested, settings, seconds), min(jobs, len(tasks)), seconds)
+    with closing(pool.run(climbers.following)) as run:
+        for worker, what, value in run:
+            task = worker.task
+            assert task is not None
+            words = {"crashed": f"crashed: {value}", "hangs": f"hangs: {value}"}.get(what, value)
+            if what == "found":
+                climbers.see(value[0])
+                yield value
+            elif what != "fault" and worker.doing and not task.failed.get(worker.doing):
+                # What it was doing is done again without the culprit.
+                tasks.appendleft(replace(task, failed={**task.failed, worker.doing: words}))
             else:
-                name = task.found.name
-                yield Rung(ladder=name, rung=task.rung), [f"{name} {task.rung}: the judge {words}"]
-        workers.append(_Worker(tested, settings))
-        give(workers[-1])
-
-    try:
-        for _ in range(min(jobs, len(tasks))):
-            workers.append(_Worker(tested, settings))
-            give(workers[-1])
-        while workers:
-            least = min(worker.deadline for worker in workers) - time.monotonic()
-            ready = multiprocessing.connection.wait([worker.connection for worker in workers], max(least, 0.0))
-            for worker in tuple(workers):
-                if worker.connection in ready:
-                    try:
-                        what, value = worker.connection.recv()
-                    except (EOFError, OSError):
-                        worker.process.join()
-                        yield from replace(worker, f"crashed: its process ended with status {worker.process.exitcode}")
-                        continue
-                    if what == "doing":
-                        worker.doing, worker.deadline = value, time.monotonic() + seconds
-                        continue
-                    worker.task, worker.doing = None, ""
-                    yield value
-                    give(worker)
-                elif time.monotonic() > worker.deadline:
-                    yield from replace(worker, f"hangs: no answer in {seconds:g} seconds")
-    finally:
-        for worker in workers:
-            worker.end()
+                name, who = task.found.name, "" if what == "fault" else "the judge "
+                yield Rung(ladder=name, rung=task.rung), [f"{name} {task.rung}: {who}{words}"]
 
 
 # ---- all of them
@@ -506,8 +432,14 @@ class Stability(Outcome):
     precisions: Mapping[str, str] = field(default_factory=dict)
     rungs: dict[tuple[str, str], Rung] = field(default_factory=dict)
     files: Mapping[tuple[str, str], Path] = field(default_factory=dict)
+    date: str = field(default_factory=now)
     seconds: float = 0.0
     interrupted: bool = False
+
+    @property
+    def progress(self) -> str:
+        """How far it went."""
+        return f"{len(self.rungs)} of {sum(len(ladder.rungs) for ladder in self.ladders)} rungs"
 
     def steps(self, ladder: Ladder, renderer: str) -> list[tuple[str, Step | None]]:
         """Of every rung; None where there is nothing."""
@@ -567,6 +499,19 @@ class Stability(Outcome):
                     if ours.startswith("native-") and same and self.end(ladder, other) > self.end(ladder, ours):
                         yield ladder, ours, other
 
+    def outlasted_says(self) -> Iterator[str]:
+        """The same in words."""
+        for ladder, ours, other in self.outlasted():
+            end = ladder.rungs[self.end(ladder, ours)]
+            refused = self.rungs[ladder.name, end].steps[ours].refused
+            if (self.breaks(ladder, ours, "careful") or [""])[0] == end:
+                how = "breaks"
+            elif refused:
+                how = f"refuses ({refused.partition('error: ')[2] or refused})"
+            else:
+                how = "says nothing"
+            yield f"{ladder.name}: {other} goes on where {ours} {how}, at {end}"
+
     @property
     def status(self) -> int:
         """The exit status: 0 all hold, 1 one breaks, 3 a renderer failed or nothing was drawn."""
@@ -576,13 +521,15 @@ class Stability(Outcome):
 
     def record(self) -> Record:
         """Everything as strictly valid JSON."""
-        strict: Record = json_value(
+        return records.result(
+            "stability",
             {
                 "ok": self.status == 0 and not self.interrupted,
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
                 "interrupted": self.interrupted,
+                "date": self.date,
                 "seconds": self.seconds,
                 "renderers": [
                     {"name": name, "precision": self.precisions[name], "seconds": self.drawing(name)}
@@ -594,9 +541,8 @@ class Stability(Outcome):
                 ],
                 "notes": [vars(note).copy() for note in self.notes],
                 "failures": [vars(note).copy() for note in self.failures],
-            }
+            },
         )
-        return strict
 
     def _ladder(self, ladder: Ladder) -> Record:
         def first(name: str, standard: str) -> str | None:
@@ -679,19 +625,14 @@ def stability(
     tasks = deque(
         _Task(ladder.name if id(ladder) in known else ladder, rung) for ladder in chosen for rung in ladder.rungs
     )
-    count, start, left = len(tasks), time.monotonic(), TimeLeft(len(tasks))
+    start, left = time.monotonic(), TimeLeft(len(tasks))
 
     def tell() -> None:
         if progress:
-            done = len(result.rungs)
-            progress(f"{done} of {count} rungs{left.says(done)}")
+            progress(f"{result.progress}{left.says(len(result.rungs))}")
 
     tell()
-    run = (
-        _in_processes(tasks, sent, settings, jobs, seconds)
-        if jobs
-        else map(functools.partial(climb, tested=sent, settings=settings), tasks)
-    )
+    run = _in_processes(tasks, sent, settings, jobs, seconds) if jobs else _here(tasks, sent, settings)
     try:
         for found, trouble in run:
             result.rungs[found.ladder, found.rung] = found
@@ -702,10 +643,11 @@ def stability(
                     result.fail(Note(f"{found.ladder} {found.rung}", name, step.failed))
             tell()
     except KeyboardInterrupt:
+        if not result.rungs:
+            raise
         result.interrupted = True
     finally:
-        if isinstance(run, Generator):
-            run.close()
+        run.close()
     result.seconds = time.monotonic() - start
     return result
 
@@ -731,7 +673,7 @@ def print_stability(result: Stability) -> None:
     if result.rungs:
         _print_table(result, "own", "held to what each claims to tell: the rung on which it first breaks")
         _print_table(result, "careful", "held to 64 roundings u of its format: the rung on which it first breaks")
-        click.echo("-: holds to the end; (1e5): from there on its claim excuses every pixel; !1e5: it failed there")
+        click.echo(LEGEND)
         click.echo("breaks: a decision wrong above the margin, a colour off by more than its tolerance, NaN or Inf")
         click.echo("64 u: decisions above that margin; colours too where the format is float64 or float32 throughout")
         click.echo("seconds of drawing: " + ", ".join(f"{name} {result.drawing(name):.2g}" for name in result.tested))
@@ -748,28 +690,17 @@ def print_stability(result: Stability) -> None:
         click.echo(f"and {len(broken) - TOLD} more, which --json has")
     if broken and not result.files:
         click.echo("  hint: --write DIR keeps the scenes, for `whitted explain`")
-    for ladder, ours, other in result.outlasted():
-        end = ladder.rungs[result.end(ladder, ours)]
-        broken_there = (result.breaks(ladder, ours, "careful") or [""])[0] == end
-        refused = result.rungs[ladder.name, end].steps[ours].refused
-        if broken_there:
-            how = "breaks"
-        elif refused:
-            how = f"refuses ({refused.partition('error: ')[2] or refused})"
-        else:
-            how = "says nothing"
-        click.echo(f"note: {ladder.name}: {other} goes on where {ours} {how}, at {end}")
+    for line in result.outlasted_says():
+        click.echo(f"note: {line}")
     print_failures(result)
+    if not result.tested:
+        click.echo("nothing was climbed")
+        return
     holding = sum(all(not result.breaks(ladder, name) for ladder in result.ladders) for name in result.tested)
-    rungs = f"{len(result.rungs)} rungs in {result.seconds:.0f} s"
-    if result.interrupted:
-        count = sum(len(ladder.rungs) for ladder in result.ladders)
-        click.echo(
-            f"interrupted: {rungs}, of {count}: {holding} of {len(result.tested)} renderers hold as far as that goes"
-        )
-    else:
-        words = f"{holding} of {len(result.tested)} renderers hold on all of {len(result.ladders)} ladders"
-        click.echo(f"{rungs}: {words}")
+    rungs = result.progress if result.interrupted else counted(len(result.rungs), "rung")
+    words = f"{holding} of {len(result.tested)} renderers hold"
+    on = "as far as that goes" if result.interrupted else f"on all of {counted(len(result.ladders), 'ladder')}"
+    click.echo(f"{rungs} in {duration(result.seconds)}: {words} {on}")
 
 
 def _print_table(result: Stability, standard: str, title: str) -> None:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from validation.verdict import Group, Verdicts
 
 
-#: A terminal of fewer columns gets a smaller table.
-NARROW = 100
+#: A terminal of fewer columns gets a smaller table, and of fewer than the second number one that is smaller still.
+NARROW, NARROWEST = 100, 72
 #: Columns that the first column of a table has at least.
 MIN_ROOM = 16
 
@@ -50,6 +50,11 @@ def console(*, stderr: bool = False) -> Console:
     # A file or a pipe has no width of its own; 80 would break names.
     wide = None if (sys.stderr if stderr else sys.stdout).isatty() else 160
     return Out(stderr=stderr, highlight=False, width=wide)
+
+
+def counted(count: int, what: str) -> str:
+    """Such as "1 pixel" and "2 pixels"."""
+    return f"{count} {what}{'s'[: count != 1]}"
 
 
 def colorful() -> bool:
@@ -117,8 +122,8 @@ def print_validation(result: Validation, *, verbose: bool) -> None:
         total += ": there is no scene, or no pair of two different renderers"
     click.echo(
         total
-        + (f", {least}{unexplained} pixel{'s'[: unexplained > 1]} without an excuse" if unexplained else "")
-        + (f", {len(result.failures)} failure{'s'[: len(result.failures) > 1]}" if result.failures else "")
+        + (f", {least}{counted(unexplained, 'pixel')} without an excuse" if unexplained else "")
+        + (f", {counted(len(result.failures), 'failure')}" if result.failures else "")
         + (f", {missing} of {len(result.scenes)} {result.parts}s are missing" if missing else "")
     )
 
@@ -294,15 +299,15 @@ def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool, width: 
     """
     from rich.table import Table
 
-    wide = width >= NARROW
-    headers = ["scene", "result", "pass", *["max error"] * wide, "/tolerance", "interior", "edge"]
+    wide, held = width >= NARROW, width >= NARROWEST
+    headers = ["scene", "result", "pass", *["max error"] * wide, *["/tolerance"] * held, "interior", "edge"]
     rows: list[tuple[str, Text, list[str]]] = []
     for scene, group in scenes.items():
         told = [(entry.pass_name, entry, entry, entry) for entry in group if verbose or not entry.ok]
         if _one_row(group, verbose=verbose):
             told = [_in_one_row(group)]
         for place, (label, nearest, seen, edges) in enumerate(told):
-            numbers = [number(nearest.ratio), f"{nearest.interior_over}/{nearest.interior}"]
+            numbers = [*[number(nearest.ratio)] * held, f"{nearest.interior_over}/{nearest.interior}"]
             texts = [label, *[number(seen.max)] * wide, *numbers, f"{edges.edge_over}/{edges.edge}"]
             rows.append(("" if place else scene, _verdict(nearest.ok), texts))
     cells = [[header, *(texts[k] for *_, texts in rows)] for k, header in enumerate(headers[2:])]
@@ -323,14 +328,15 @@ def _table(scenes: Mapping[str, Sequence[Comparison]], *, verbose: bool, width: 
 
 def _legend(groups: Iterable[Sequence[Comparison]], *, verbose: bool, width: int) -> Iterator[str]:
     """What the columns are that are shown."""
-    wide = width >= NARROW
+    wide, held = width >= NARROW, width >= NARROWEST
     yield "interior, edge: pixels over tolerance / all; only interior ones have to agree"
-    yield "max error: of all pixels, edges included; " * wide + "/tolerance: error over tolerance of interior ones"
+    if held:
+        yield "max error: of all pixels, edges included; " * wide + "/tolerance: error over tolerance of interior ones"
     rows = [group for group in groups if _one_row(group, verbose=verbose)]
     if rows:
         beauty = all(any(entry.pass_name == "beauty" for entry in group) for group in rows)
         error = f"max error: of beauty{'' if beauty else ' or else of that pass'}; " * wide
-        yield f"all: /tolerance and interior of the worst pass; {error}edge: of that with most over"
+        yield f"all: {'/tolerance and ' * held}interior of the worst pass; {error}edge: of that with most over"
 
 
 def worst_of(comparison: Comparison, *, levels: bool = False) -> str:
@@ -345,22 +351,32 @@ def worst_of(comparison: Comparison, *, levels: bool = False) -> str:
 
 def print_renderers(entries: Sequence[Mapping[str, Any]], failures: Mapping[str, str]) -> None:
     """A row for each renderer, and on stderr the entry points that could not be loaded."""
+    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
+    out = console()
+    narrow = out.width < NARROW  # no room for passes beside the rest: below it
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in ("name", "version", "available"):
+    for header in () if narrow else ("name", "version", "available"):
         table.add_column(header, no_wrap=True)
-    table.add_column("passes, or what to do", overflow="fold")
+    table.show_header = not narrow
+    table.add_column("" if narrow else "passes, or what to do", overflow="fold")
     for entry in entries:
         usable = entry["available"]
+        told = Text(", ".join(entry["passes"]) if usable else entry["reason"])
+        if narrow:
+            head = f"{entry['name']} {entry['version'] or 'cannot run here'}"
+            table.add_row(Text(head, style="green" if usable else "yellow"))
+            table.add_row(Padding(told, (0, 0, 0, 2)))
+            continue
         table.add_row(
             entry["name"],
             entry["version"] or "-",
             Text("yes", style="green") if usable else Text("no", style="yellow"),
-            Text(", ".join(entry["passes"]) if usable else entry["reason"]),
+            told,
         )
-    console().print(table)
+    out.print(table)
     sys.stdout.flush()
     for name, reason in failures.items():
         complain(f"warning: the renderers of entry point '{name}' could not be loaded: {reason}")

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import datetime
 import time
 from collections.abc import Callable
+
+
+def now() -> str:
+    """Date and time, as ISO 8601 has it."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def duration(seconds: float) -> str:
@@ -11,6 +17,22 @@ def duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+class Pulse:
+    """What goes on quickly is told once a second, not always."""
+
+    def __init__(self, seconds: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
+        """First when so many seconds are over."""
+        self._seconds, self._clock, self._last = seconds, clock, clock()
+
+    def due(self) -> bool:
+        """Whether it is time to tell."""
+        now = self._clock()
+        if now - self._last < self._seconds:
+            return False
+        self._last = now
+        return True
 
 
 class TimeLeft:

@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from validation.acne import acne, scattered
-from validation.compare import json_value
 from validation.court import EXPLAINED, Court, Finding, RulesError, Side
 from validation.parting import Decision
+from validation.records import Record, json_value
 from validation.renderers import Settings
+from validation.timing import Pulse, TimeLeft
 from validation.truth import NOWHERE, Truth
 
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
-    from validation.compare import Comparison, Record
+    from validation.compare import Comparison
 
 __all__ = [
     "EXPLAINED",
@@ -243,12 +244,13 @@ def judge(
     most: int,
     first: int = 0,
     court: Court | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Verdicts | None:
     """Judge the pixels in which comparisons of a pair differ, of more than `most` a random sample; None: none does.
 
     `first`: no more are judged than so many of them, taken from all spheres, if these all come to one mistake, or than
     twice as many if nothing explains any; 0: all are. `court`: that of other pairs of the same scene, settings and
-    analysis.
+    analysis. `progress`: called with how many are judged.
 
     Raises:
         RulesError: the documented rules of one of them failed.
@@ -278,7 +280,10 @@ def judge(
     verdicts: list[Verdict] = []
     unproved: list[tuple[int, int]] = []
     pace: Pace | None = getattr(renderer.renderer, "pace", None)
-    for x, y in pace.through(chosen, verdicts) if pace else chosen:
+    left, pulse = TimeLeft(len(chosen)), Pulse()
+    for done, (x, y) in enumerate(pace.through(chosen, verdicts) if pace else chosen):
+        if progress and pulse.due():
+            progress(f"{done} of {len(chosen)} pixels judged{left.says(done)}")
         try:
             truth = court.truth(x, y)
             found = [court.find(truth, side, compared) for side in sides]

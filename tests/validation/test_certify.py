@@ -6,6 +6,7 @@ import functools
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -811,9 +812,10 @@ def test_ended_from_outside_it_leaves_nothing(end: signal.Signals, group: bool, 
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             raise
-    assert out == ""
-    expected = (130, "interrupted") if end == signal.SIGINT else (143, "")
-    assert (process.returncode, err.strip()) == expected
+    status, word = (130, "interrupted") if end == signal.SIGINT else (143, "terminated")
+    assert process.returncode == status
+    assert re.fullmatch(rf"{word}: \d+ of 750000 pixels were finished", err.strip())
+    assert "  proved         " in out
     while time.monotonic() < deadline + 30:
         try:
             os.killpg(process.pid, 0)
@@ -829,7 +831,9 @@ def test_interrupted_it_leaves_no_file(run: Any, scene: Path, tmp_path: Path, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr(proofs, "pixel_record", interrupt)
-    assert run(scene, "--json", tmp_path / "r.json") == Result(130, "", "\ninterrupted\n")
+    assert run(scene, "--json", tmp_path / "r.json") == Result(
+        130, "", "\ninterrupted: nothing was finished, nothing was written\n"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["full.txt"]
 
 
@@ -860,7 +864,8 @@ def test_interrupted_the_certificates_are_kept(
     words = ("--pixels", 20, "--edges", 5, "--jobs", 1, "--json", file)
     result = run(scene, "--renderer", "native-f64,numpy-f64", *words)
     assert result.status == 130
-    assert result.out.endswith("\ninterrupted: 1 of 1 certificates hold\n")
+    assert result.out.endswith("\n1 of 1 certificates hold\n")
+    assert result.err == f"\ninterrupted: kept {file} with 1 of 2 certificates\n"
     record = strict(file.read_text())
     assert (record["ok"], record["interrupted"]) == (False, True)
     assert [entry["renderer"] for entry in record["certificates"]] == ["native-f64"]

@@ -326,13 +326,15 @@ def test_as_much_is_judged_as_there_is_time_for(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("validation.check.SECONDS", 0.0)
+    monkeypatch.setattr("validation.verdict.Pulse.due", lambda _: True)
     told: list[str] = []
     two = [mixed(), dataclasses.replace(mixed(), label="again")]
     result = check(two, progress=told.append)
     assert [len(verdicts.verdicts) for verdicts in result.validation.verdicts] == [FEW, 1]
     assert all(verdicts.late and not verdicts.stopped for verdicts in result.validation.verdicts)
-    assert [text for text in told if "judging" in text] == [
-        f"corner, truncate: judging {k} of {MOST_VERDICTS} pixels" for k in (1, 2, 3, 1)
+    judged = [text.partition("corner, truncate: ")[2] for text in told if "judged" in text]
+    assert [text.partition(": ")[2].split(" judged")[0] for text in judged] == [
+        f"{k} of {MOST_VERDICTS} pixels" for k in (0, 1, 2, 0)
     ]
     assert result.validation.verdicts[0].record()["late"] is True
     print_check(result)
@@ -350,7 +352,7 @@ def test_a_mistake_that_enough_pixels_show_needs_no_more_time(monkeypatch: pytes
     other: Any = SimpleNamespace(renderer=SimpleNamespace(cause="unexplained", because="nothing"))
     places = [(k, 0) for k in range(100)]
     few, enough = [mistake] * (FIRST_ALIKE - 1) + [other] * 9, [mistake] * FIRST_ALIKE + [other] * 9
-    count = {len(verdicts): len(list(Pace(2, 80, None).through(places, verdicts))) for verdicts in (few, enough)}
+    count = {len(verdicts): len(list(Pace(2, 80).through(places, verdicts))) for verdicts in (few, enough)}
     assert count == {len(few): 40, len(enough): 10}, "each image has half of the time, which passes by 1 a pixel"
 
 
@@ -653,3 +655,22 @@ def test_what_is_wrong_is_said(
     assert hint in result.err
     assert "Traceback" not in result.err
     assert not result.out
+
+
+def test_all_that_is_wrong_with_images_is_said_in_their_order(run: Any, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenes = [Path(f"{name}.txt") for name in "bac"]
+    for path in scenes:
+        path.write_text(doubles.FULL)
+    Path("folder").mkdir()
+    Path("empty.ppm").touch()
+    images = [word for name in ("nowhere.ppm", "folder", "empty.ppm") for word in ("--image", name)]
+    result = run("check", *scenes, *images)
+    assert (result.status, result.out) == (2, "")
+    places = [line.partition(": error: ")[0] for line in result.err.splitlines() if ": error: " in line]
+    assert places == ["nowhere.ppm", "folder", "empty.ppm"]
+    assert "folder: error: this is a folder, expected an image" in result.err
+
+
+def test_a_hint_about_a_command_is_one_that_can_be_typed(run: Any, scene: Path) -> None:
+    assert run("check", scene, "--command", "raytrace").err.endswith("\n  hint: for example './mine {scene}'\n")

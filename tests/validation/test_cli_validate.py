@@ -49,6 +49,8 @@ def test_validate_writes_strict_json(run: Any, scene: Path, tmp_path: Path, regi
     record = strict(file.read_text())
     assert set(record) == {
         *(
+            "schema",
+            "kind",
             "ok",
             "command",
             "settings",

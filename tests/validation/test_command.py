@@ -586,27 +586,43 @@ mine.render(tracer.load("scene.txt"), ("beauty",), Settings())
         assert ends(child)
 
     @pytest.mark.parametrize(
-        "words", ["stability --ladder speck --jobs 1", "speed scene.txt --size 8x8 --pixels 4 --edges 1"]
+        "words",
+        [
+            "validate scene.txt --against native-f64 --renderer",
+            "explain scene.txt 1 1 --renderer",
+            "stability --ladder speck --jobs 1 --renderer",
+            "stability --fuzz 9 --jobs 1 --renderer",
+            "speed scene.txt --size 8x8 --pixels 4 --edges 1 --renderer",
+            "truth scene.txt --size 8x8 --pixels 4 --edges 1 --renderer",
+            "render scene.txt -o x.ppm --renderer",
+            "check scene.txt --command",
+        ],
     )
-    def test_what_measures_in_other_processes_is_ended(self, words: str, scene: Scene, tmp_path: Path) -> None:
+    @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+    def test_a_program_ends_with_every_command(
+        self, words: str, number: signal.Signals, status: int, scene: Scene, tmp_path: Path
+    ) -> None:
+        """Even with Ctrl-C again and again, as people do."""
         temporary, pids = tmp_path / "temporary", tmp_path / "pids"
         temporary.mkdir()
         (tmp_path / "scene.txt").write_text(scene.text())
         (tmp_path / "slow.py").write_text(
             f"import os, time\nopen({str(pids)!r}, 'w').write(f'{{os.getpid()}}\\n')\ntime.sleep(600)\n"
         )
-        mine = f"cmd:{sys.executable} -I -S slow.py {{scene}}"
+        mine = f"{sys.executable} -I -S slow.py {{scene}}"
         code = "from validation.cli import main; main()"
         ours = subprocess.Popen(
-            [sys.executable, "-c", code, *words.split(), "--renderer", mine],
+            [sys.executable, "-c", code, *words.split(), mine if "check" in words else f"cmd:{mine}"],
             cwd=tmp_path,
             env={**os.environ, "TMPDIR": str(temporary)},
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
         )
         program = int(wait_for(pids))
-        ours.send_signal(signal.SIGTERM)
-        assert ours.wait(timeout=30) == 143
+        for _ in range(3):
+            ours.send_signal(number)
+        err = ours.communicate(timeout=30)[1].decode()
+        assert (ours.returncode, "Traceback" in err) == (status, False), err
         assert ends(program)
         assert not list(temporary.iterdir())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -409,7 +410,8 @@ def test_ctrl_c_keeps_what_was_found(run: Any, tmp_path: Path, monkeypatch: Any)
     file = tmp_path / "r.json"
     result = run("stability", "--fuzz", 99, "--renderer", "numpy-f64", "-o", tmp_path / "found", "--json", file)
     assert result.status == 130
-    assert "interrupted: 1 of 99 scenes" in result.out
+    assert "\n1 of 99 scenes" in result.out
+    assert result.err == f"\ninterrupted: kept {file} with 1 of 99 scenes\n"
     assert strict(file.read_text())["interrupted"] is True
 
 
@@ -432,8 +434,9 @@ def test_ended_from_outside_nothing_is_left(tmp_path: Path, need: Any) -> None:
         time.sleep(2)
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (128 + signal.SIGTERM, "")
-    assert "interrupted: " in out
+    assert process.returncode == 128 + signal.SIGTERM
+    assert re.fullmatch(rf"\nterminated: kept {re.escape(str(file))} with \d+ of 100000 scenes\n", err)
+    assert " of 100000 scenes of seed 0" in out
     assert json.loads(file.read_text())["interrupted"] is True
     while time.monotonic() < deadline + 30 and any(Path(f"/proc/{worker}").exists() for worker in workers):
         time.sleep(0.1)

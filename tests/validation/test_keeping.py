@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,13 @@ import doubles
 import pytest
 from conftest import strict
 from doubles import Double, with_arrays
+from test_schema import STRICT
 
+import tracer
+from validation import proofs, speed, speed_kernels, validate
 from validation.commands import results
 from validation.commands.results import Results
-from validation.timing import TimeLeft, duration
+from validation.timing import Pulse, TimeLeft, duration
 
 
 @pytest.fixture
@@ -123,6 +127,132 @@ def test_writing_again_takes_a_share_of_the_time(
     monkeypatch.setattr(Results, "write", write)
     run("validate", *three, "--renderer", "native-f64", "--against", "native-f32", "--json", tmp_path / "r.json")
     assert written == [2, 0], "after the first scene and at the end"
+
+
+def stopping(real: Any, after: int) -> Any:
+    """The same generator, ended as with Ctrl-C."""
+
+    def stops(*arguments: Any, **options: Any) -> Any:
+        found = real(*arguments, **options)
+        for _ in range(after):
+            yield next(found)
+        found.close()
+        raise KeyboardInterrupt
+
+    return stops
+
+
+def test_proved_pixels_are_kept_an_image_that_lacks_some_is_not(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proofs, "proved", stopping(proofs.proved, 30))
+    file, image = tmp_path / "truth.json", tmp_path / "truth.npz"
+    ended = run("truth", three[0], "--size", "16x12", "--pixels", "all", "--json", file, "-o", image)
+    assert ended.status == 130
+    lost = f"{image} is not written, as it would lack the others"
+    assert ended.err == f"\ninterrupted: kept {file} with 30 of 192 pixels; {lost}\n"
+    assert "  proved         30 pixels" in ended.out
+    record = strict(file.read_text())
+    STRICT.validate(record)
+    assert record["interrupted"] is True
+    assert len(record["scenes"][0]["pixels"]) == record["scenes"][0]["summary"]["pixels"] == 30
+    assert not image.exists()
+    bare = run("truth", *three[:2], "--pixels", 50)
+    assert bare.err == "\ninterrupted: 30 of 100 pixels were finished\n"
+
+
+def test_certificates_are_kept(run: Any, three: list[Path], tmp_path: Path, registered: Any) -> None:
+    registered(Stops(1))
+    file = tmp_path / "truth.json"
+    words = ("--renderer", "double", "--pixels", 10, "--edges", 1, "--size", "16x12", "--json", file)
+    ended = run("truth", *three, *words)
+    assert (ended.status, ended.err) == (130, f"\ninterrupted: kept {file} with 1 of 3 certificates\n")
+    record = strict(file.read_text())
+    STRICT.validate(record)
+    assert (record["ok"], record["interrupted"], len(record["certificates"])) == (False, True, 1)
+
+
+def test_where_nothing_is_finished_that_is_said(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(speed._SceneRun, "start", stops)
+    monkeypatch.setattr("validation.stability.climb", stops)
+    monkeypatch.setattr("validation.stability._in_processes", stops)
+    file = tmp_path / "x.json"
+    for words in (("speed", three[0], *SPEED), ("stability", "--ladder", "speck", "--renderer", "native-f32")):
+        assert run(*words).err == "\ninterrupted\n"
+        ended = run(*words, "--json", file)
+        assert (ended.status, ended.out) == (130, "")
+        assert ended.err == "\ninterrupted: nothing was finished, nothing was written\n"
+        assert not file.exists()
+
+
+SPEED = ("--size", "16x12", "--renderer", "native-f32@scalar", "--threads", 1, "--pixels", 4, "--edges", 1)
+
+
+def test_measurements_are_kept(run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = speed._SceneRun.warm
+    times: list[int] = []
+
+    def warm(self: Any, *arguments: Any) -> None:
+        real(self, *arguments)
+        times.append(1)
+        if len(times) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(speed._SceneRun, "warm", warm)
+    file, page = tmp_path / "speed.json", tmp_path / "report" / "index.html"
+    quick = ("--seconds", 0.01, "--rounds", 3, "--json", file, "--report", page.parent)
+    ended = run("speed", *three, *SPEED, *quick)
+    assert (ended.status, ended.err) == (130, f"\ninterrupted: kept {file} and {page} with 2 measurements\n")
+    record = strict(file.read_text())
+    STRICT.validate(record)
+    assert (record["ok"], record["interrupted"]) == (False, True)
+    assert [len(scene["entries"]) for scene in record["scenes"]] == [1, 1]
+    assert "two.txt" in page.read_text()
+
+
+def test_the_kernels_keep_to_the_limit_and_what_is_measured(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    file = tmp_path / "speed.json"
+    words = (*SPEED, "--kernels", "--seconds", 0.01, "--rounds", 3, "--json", file)
+    late = run("speed", three[0], *words, "--limit", 0.01)
+    assert "kernels by size: the time was up: --limit gives more" in late.out
+    assert strict(file.read_text())["kernels"]["rows"] == []
+    monkeypatch.setattr(speed_kernels, "_measure", stops)
+    ended = run("speed", three[0], *words)
+    assert (ended.status, ended.err) == (130, f"\ninterrupted: kept {file} with 1 measurement\n")
+    record = strict(file.read_text())
+    STRICT.validate(record)
+    assert record["interrupted"] is True
+
+
+def test_a_long_judging_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Pulse, "due", lambda _: True)
+    told: list[str] = []
+    scene = tracer.loads(doubles.FULL)
+    wrong = Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)))
+    validate({"one": scene, "two": scene}, wrong, "native-f64", passes=["beauty"], progress=told.append, verdicts=3)
+    pair = "double against native-f64"
+    assert told[:2] == [f"scene 1 of 2: one: {pair}", f"scene 1 of 2: 0 of 3 pixels judged: one: {pair}"]
+    assert re.fullmatch(rf"scene 1 of 2: 2 of 3 pixels judged, \d+ s left: one: {pair}", told[3])
+    assert len(told) == 8
+
+
+def test_what_goes_on_quickly_is_told_once_a_second() -> None:
+    now = [100.0]
+    pulse = Pulse(clock=lambda: now[0])
+    due = []
+    for now[0] in (100.5, 101.0, 101.5, 101.9, 102.1):
+        due.append(pulse.due())
+    assert due == [False, True, False, False, True]
 
 
 def test_time_left() -> None:

@@ -107,7 +107,7 @@ def test_a_name_without_variant_means_the_best_that_can_run(entry: Callable[...,
 def test_an_unknown_name_says_which_there_are() -> None:
     with pytest.raises(renderers.UnknownRendererError, match="unknown renderer 'natve-f64'") as error:
         renderers.get("natve-f64")
-    assert error.value.hint.startswith("did you mean 'native-f64'? known renderers: ")
+    assert error.value.hint == "did you mean 'native-f64'?"
     with pytest.raises(renderers.UnknownRendererError) as error:
         renderers.get("zzzzzz")
     assert error.value.hint.startswith("known renderers: ")

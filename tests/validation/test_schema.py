@@ -8,7 +8,7 @@ import re
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import doubles
 import numpy as np
@@ -17,6 +17,8 @@ from command_line import NATIVE, one_pixel
 from conftest import strict
 from doubles import Double, with_arrays
 from jsonschema import Draft202012Validator, ValidationError
+
+from validation import records
 
 SCHEMA = json.loads(resources.files("validation").joinpath("results.schema.json").read_text(encoding="utf-8"))
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -30,7 +32,9 @@ def closed(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     found = {key: closed(entry) for key, entry in schema.items()}
-    return found | {"additionalProperties": False} if isinstance(schema.get("properties"), dict) else found
+    # The whole says which kind there is, the kind which fields.
+    whole = "$defs" in schema or "required" not in schema
+    return found if whole or not isinstance(schema.get("properties"), dict) else found | {"additionalProperties": False}
 
 
 STRICT = Draft202012Validator(closed(SCHEMA))
@@ -140,12 +144,76 @@ def test_truth_keeps_to_it(run: Any, scene: Path, tmp_path: Path, registered: An
         STRICT.validate(wrong)
 
 
+def test_explain_and_renderers_keep_to_it(run: Any, scene: Path, tmp_path: Path, registered: Any) -> None:
+    file = tmp_path / "explained.json"
+    registered(Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)), missing=("normal",)))
+    sides = ("--renderer", "double,native-f32")
+    tie = ((SCENES / "spec" / "equal-hits.txt", 72, 200), (SCENES / "spec" / "mirror-corridor.txt", 180, 205))
+    for pixel in ((scene, 20, 20), *tie):
+        assert run("explain", *pixel, *sides, "--json", file).status == 0
+        record = strict(file.read_text())
+        STRICT.validate(record)
+        assert (record["schema"], record["kind"]) == (SCHEMA["$id"], "explain")
+        assert record["command"][:2] == ["whitted", "explain"]
+        assert {"whitted", "compiler"} <= record["versions"].keys()
+    assert record["renderers"][0]["differences"]
+    listed = run("renderers", "--json")
+    STRICT.validate(strict(listed.out))
+
+
+def test_stability_keeps_to_it(run: Any, tmp_path: Path, registered: Any) -> None:
+    file = tmp_path / "stability.json"
+    registered(Double(draw=with_arrays(lambda arrays: arrays["beauty"].fill(0.5)), missing=("normal",)))
+    climb = ("stability", "--ladder", "speck", "--jobs", 1, "--json", file)
+    assert run(*climb, "--renderer", "native-f32", "--write", tmp_path / "rungs").status == 0
+    STRICT.validate(strict(file.read_text()))
+    assert run(*climb, "--renderer", "cmd:false {scene}").status == 3
+    failed = strict(file.read_text())
+    STRICT.validate(failed)
+    assert failed["ladders"][0]["rungs"][0]["steps"]["cmd:false {scene}"]["failed"]
+    failed["ladders"][0]["rungs"][0]["steps"]["cmd:false {scene}"].pop("refused")
+    with pytest.raises(ValidationError):
+        STRICT.validate(failed)
+
+
+def test_fuzz_keeps_to_it(run: Any, tmp_path: Path) -> None:
+    file, kept = tmp_path / "fuzz.json", tmp_path / "kept"
+    words = ("stability", "--fuzz", 1, "--seed", 6, "--jobs", 1, "-o", kept, "--json", file)
+    assert run(*words, "--renderer", "numpy-f64").status == 0
+    STRICT.validate(strict(file.read_text()))
+    assert run(*words, "--renderer", "cmd:false {scene}").status == 3
+    found = strict(file.read_text())
+    STRICT.validate(found)
+    assert found["kinds"][0]["what"] == "failed"
+    (beside,) = kept.glob("*.json")
+    failure = strict(beside.read_text())
+    assert failure["kind"] == "failure"
+    STRICT.validate(failure)
+
+
+def test_speed_keeps_to_it(run: Any, scene: Path, tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    words = ("--size", "16x12", "--seconds", 0.01, "--rounds", 3, "--pixels", 4, "--json", file)
+    assert run("speed", scene, "--renderer", "native-f32@scalar", *words, "--edges", 0).status == 0
+    record = strict(file.read_text())
+    STRICT.validate(record)
+    assert record["scenes"][0]["entries"][0]["errors"]["edge_max"] is None
+    record["scenes"][0]["entries"][0].pop("cold")
+    with pytest.raises(ValidationError):
+        STRICT.validate(record)
+
+
+def test_every_kind_says_what_it_is() -> None:
+    kinds = SCHEMA["properties"]["kind"]["enum"]
+    assert tuple(kinds) == get_args(records.Kind)
+    assert SCHEMA["$id"] == records.SCHEMA
+    for kind in kinds:
+        head = SCHEMA["$defs"][kind]["properties"]
+        assert (head["schema"]["const"], head["kind"]["const"]) == (records.SCHEMA, kind)
+    with pytest.raises(ValidationError):
+        STRICT.validate({"schema": records.SCHEMA, "kind": "poem"})
+
+
 def test_the_document_explains_every_field() -> None:
     told = set(re.findall(r"`(\w+)`", DOCUMENT))
     assert properties(SCHEMA) - told == set()
-
-
-def test_the_example_in_the_document(capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = re.findall(r"^```python\n(.*?)^```$", DOCUMENT, re.MULTILINE | re.DOTALL)
-    exec(compile(code, "results.md", "exec"), {})
-    assert capsys.readouterr().out == code.rstrip().rpartition("  # ")[2] + "\n"

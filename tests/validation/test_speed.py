@@ -198,6 +198,21 @@ def test_a_picture_of_another_size_is_refused(proof: Proof, drawn: dict[str, Any
 # ---- what is measured
 
 
+def test_of_a_family_those_that_can_run_are_measured(run: Any, scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who names one that cannot run here is told that it failed; who names the family is not."""
+    other = "neon" if "sse2" in instruction_sets() else "avx2"
+    monkeypatch.setattr(speed, "instruction_sets", lambda: ("scalar", other))
+    words = ("--size", "16X12", "--seconds", 0.01, "--rounds", 3, "--pixels", 4, "--edges", 0, "--threads", 999)
+    found = run("speed", scene, "--renderer", "native-f32", *words)
+    assert (found.status, found.err) == (0, "")
+    assert f"native-f32@{other}: cannot run here" in found.out
+    count = len(speed.processors())
+    assert f"left out: --threads 999: here are {count} processor" in found.out
+    assert found.out.splitlines()[0].endswith("3 spheres, 2 lights")
+    alone = run("speed", scene, "--renderer", f"native-f32@{other},native-f32@scalar", *words)
+    assert (alone.status, "cannot run here" in alone.err) == (3, True)
+
+
 def test_names_stand_for_instruction_sets_and_threads() -> None:
     found = entries(["native-f64"], (1,))
     assert [entry.isa for entry in found] == list(reversed(instruction_sets()))

@@ -237,8 +237,9 @@ def test_a_renderer_that_raises_fails_and_the_others_go_on() -> None:
             raise RuntimeError("too small for me")
         return doubles.faithful(scene, passes, settings)
 
-    ladder = rungs("smaller", "1e0", "1e-1", "1e-3")
+    ladder = rungs("smaller", "1e0", "1e-1", "1e-3", "1e-4")
     result = climbed([ladder], Double(draw=draw), "native-f64")
+    assert [bool(step) for _, step in result.steps(ladder, "double")] == [True, True, True, False], "not asked again"
     assert result.cell(ladder, "double") == "!1e-3"
     assert result.cell(ladder, "native-f64") == "-"
     assert result.status == 3
@@ -332,8 +333,12 @@ def test_the_command(run: Any, tmp_path: Path, monkeypatch: Any) -> None:
             assert tracer.load(entry["file"]) == get(ladder["name"]).scene(entry["rung"])
     assert {path.name for path in (tmp_path / "curves").iterdir()} == {"index.html", "speck.svg", "exponent.svg"}
     # Again, over what is ours.
-    again = run("stability", "--ladder", "exponent", "--renderer", "native-f64", "--jobs", "1", "--report", "curves")
-    assert again.status == 0
+    words[1] = "exponent"
+    assert run("stability", *words, "--json", "s.json", "--report", "curves").status == 0
+    assert {path.name for path in (tmp_path / "curves").iterdir()} == {"index.html", "exponent.svg"}, "no old ones"
+    page, record = (tmp_path / "curves" / "index.html").read_text(), strict((tmp_path / "s.json").read_text())
+    for fact in (record["date"], f"whitted {tracer.version()}", "whitted stability --ladder exponent", "GCC"):
+        assert fact in page
 
 
 def test_the_command_tells_what_breaks_and_how_to_look_at_it(run: Any, registered: Any, monkeypatch: Any) -> None:
@@ -395,7 +400,8 @@ def test_ctrl_c_keeps_what_was_found(run: Any, tmp_path: Path, monkeypatch: Any)
     file = tmp_path / "s.json"
     result = run("stability", "--ladder", "speck", "--renderer", "native-f64", "--json", file)
     assert result.status == 130
-    assert "interrupted: 1 rungs" in result.out
+    assert "\n1 of 13 rungs in " in result.out
+    assert result.err == f"\ninterrupted: kept {file} with 1 of 13 rungs\n"
     assert strict(file.read_text())["interrupted"] is True
 
 

@@ -20,6 +20,42 @@ def test_colours_are_for_terminals(scene: Path) -> None:
     assert "\x1b" not in done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_no_column_is_lost_however_narrow_the_terminal(
+    width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [
+        Comparison("scenes/spec/diffuse-only.txt", (64, 64), "a", "b", name, max=1e-15, ratio=0.01, interior=4096)
+        for name in ("beauty", "reflection.1")
+    ]
+    monkeypatch.setattr(terminal, "console", lambda: Console(width=width))
+    result = Validation(settings=Settings(), versions={}, comparisons=found)
+    terminal.print_validation(result, verbose=True)
+    out = capsys.readouterr().out
+    table = out[: out.index("interior, edge: pixels")]
+    assert max(map(len, table.splitlines())) <= width
+    for word in ("result", "pass", "interior", "edge", "0/4096", "0/0", "reflection.1"):
+        assert word in table
+    assert ("/tolerance" in out) == (width > 60), "nor is it explained where it is not"
+
+
+def test_on_a_narrow_terminal_passes_have_lines_of_their_own(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passes = [f"reflection.{k}" for k in range(8)]
+    entries = [
+        {"name": "mine", "version": "1.2", "available": True, "passes": passes, "reason": None},
+        {"name": "other", "version": None, "available": False, "passes": [], "reason": "it is not here"},
+    ]
+    for width in (60, 160):
+        monkeypatch.setattr(terminal, "console", lambda width=width: Console(width=width))
+        terminal.print_renderers(entries, {})
+        lines = capsys.readouterr().out.splitlines()
+        assert max(map(len, lines)) <= width
+        assert all(name in "".join(lines) for name in passes), "none is cut"
+        assert any("it is not here" in line for line in lines)
+
+
 def test_a_narrow_terminal_shows_the_result(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from validation import records
 from validation.commands.errors import CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_size, settings_of
@@ -96,7 +97,7 @@ def check(
     the image is wanted; without it the file of the field OUTPUT is taken, or else what is printed.
     """
     from validation import renderers
-    from validation.check import check, draw_pictures, read_picture
+    from validation.check import check, draw_pictures, read_pictures
     from validation.renderers.command import MEBIBYTE, PREFIX, Limits
     from validation.run import load_scenes, resized
     from validation.terminal import print_check, print_checks
@@ -121,7 +122,10 @@ def check(
         if images and (folder := next((path for path in scenes if path.is_dir()), None)):
             raise CommandError(f"{folder} is a folder, expected a scene file", "name the scenes of the images")
         for template in templates:
-            renderers.get(f"{PREFIX}{template}")
+            try:
+                renderers.get(f"{PREFIX}{template}")
+            except renderers.RendererNameError as error:
+                raise CommandError(f"--command: {error}", error.hint.replace(PREFIX, "")) from error
         loaded = load_scenes(scenes, limits=not options["no_limits"])
         if size:
             loaded = {label: resized(scene, size) for label, scene in loaded.items()}
@@ -150,10 +154,7 @@ def check(
                 "on_scene": so_far if len(templates) < 2 else None,
             }
             if images:
-                pictures = [
-                    read_picture(path, label, scene)
-                    for path, (label, scene) in zip(images, loaded.items(), strict=True)
-                ]
+                pictures = read_pictures(images, loaded)
                 name = f"image:{images[0].name}" if len(images) == 1 else "image"
                 results[name] = check(pictures, name=name, **common)
             limits = Limits(seconds=time_limit, memory=memory * MEBIBYTE)
@@ -185,9 +186,5 @@ def _together(
     result.unfinished = tuple(unfinished)
     result.scenes = (*results, *unfinished)
     programs = [{"program": name, **entry.record()} for name, entry in results.items()]
-    return result, {
-        "ok": result.ok,
-        "command": [*command],
-        "programs": programs,
-        "unfinished": [*unfinished],
-    }
+    fields = {"ok": result.ok, "command": command, "programs": programs, "unfinished": unfinished}
+    return result, records.result("checks", fields)

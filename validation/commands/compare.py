@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from validation import records
 from validation.commands.errors import DIFFERENT, CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_flip, refuse_pass
-from validation.commands.outputs import writable, write_text
+from validation.commands.outputs import command_line, writable
 from validation.options import json_option, names_option, positive
 from validation.terminal import print_comparisons
 
@@ -103,8 +103,12 @@ def compare(
         if alone and not passes and not quiet:
             click.echo(f"note: only in one of the two, not compared: {', '.join(alone)}")
         if json_file:
-            record = {"ok": equal, "comparisons": [comparison.record() for comparison in found]}
-            write_text(json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+            fields = {
+                "ok": equal,
+                "command": command_line(),
+                "comparisons": [comparison.record() for comparison in found],
+            }
+            records.write(json_file, records.result("compare", fields))
     ctx.exit(0 if equal else DIFFERENT)
 
 

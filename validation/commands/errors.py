@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -45,17 +45,38 @@ class StoppedError(KeyboardInterrupt):
         self.kept = kept
 
 
+def kept(paths: Iterable[Path | None], done: str) -> StoppedError:
+    """Ended early, and some of it was written; `done`: what there is of what there was to be."""
+    *some, last = [str(path) for path in paths if path] or [""]
+    files = f"{', '.join(some)} and {last}" if some else last
+    return StoppedError(f"kept {files} with {done}" if last else f"{done} were finished")
+
+
+@contextmanager
+def nothing_kept(*files: object) -> Iterator[None]:
+    """Ctrl-C in here, which nothing in it has kept anything of, says so where there were to be files."""
+    try:
+        yield
+    except StoppedError:
+        raise
+    except KeyboardInterrupt as error:
+        raise StoppedError("nothing was finished, nothing was written" if any(files) else "") from error
+
+
 def sentence(error: click.ClickException) -> tuple[str, str]:
     """What click finds wrong, and a hint, in our words."""
+    from tracer.near import near
+
     context = getattr(error, "ctx", None)
     path = context.command_path if context else "whitted"
     message, hint = error.format_message().rstrip("."), getattr(error, "hint", "") or f"see `{path} --help`"
     if isinstance(error, click.NoSuchOption):
         message = f"no such option '{error.option_name}'"
         # Without the dashes, which all have in common.
-        options = {option.lstrip("-"): option for option in error.possibilities or ()}
-        if near := difflib.get_close_matches(error.option_name.lstrip("-"), options, n=1):
-            hint = f"did you mean '{options[near[0]]}'?"
+        known = [option for parameter in context.command.params for option in parameter.opts] if context else []
+        options = {option.lstrip("-"): option for option in known}
+        if meant := near(error.option_name.lstrip("-"), options):
+            hint = f"did you mean '{options[meant]}'?"
     elif isinstance(error, click.BadOptionUsage) and error.option_name == "--at":
         message, hint = "--at: found fewer than two numbers", AT
     elif isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter) and error.param:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +10,11 @@ from typing import Any
 
 import click
 
+from validation import records
 from validation.commands.errors import FAILED, CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_pixels, check_size, load_scene, settings_of
-from validation.commands.outputs import progressing, writable, write_text
+from validation.commands.outputs import command_line, progressing, writable
 from validation.options import Place, Size, json_option, loudness_options, names_option, settings_options
 
 #: How a pixel is named.
@@ -96,14 +96,21 @@ def explain(
         try:
             with progressing() as progress:
                 told = run(
-                    loaded, x, y, settings_of(options), list(dict.fromkeys(chosen)), label=label, progress=progress
+                    loaded,
+                    x,
+                    y,
+                    settings_of(options),
+                    list(dict.fromkeys(chosen)),
+                    label=label,
+                    progress=progress,
+                    command=command_line(),
                 )
         except NOWHERE as error:
             raise CommandError(f"truth could not be had: {error}", "whitted explain another pixel", FAILED) from error
         # That nothing could be drawn is said at the end, once.
         print_explanation(replace(told, notes=()) if renderer and not told.drawn else told)
         if json_file:
-            write_text(json_file, json.dumps(told.record(), indent=1, allow_nan=False) + "\n")
+            records.write(json_file, told.record())
         if renderer and not told.failed and all(entry.reason for entry in told.drawn):
             reasons = [f"{entry.renderer} {entry.reason}" for entry in told.drawn]
             hint = next((entry.hint for entry in told.drawn if entry.hint), "see `whitted renderers`")

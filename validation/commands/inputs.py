@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -66,8 +65,8 @@ def check_pass_names(asked: Sequence[str]) -> None:
     try:
         check_passes(asked)
     except ValueError as error:
-        message, _, near = str(error).partition(" (did you mean ")
-        hint = f"did you mean {near.rstrip(')')}" if near else f"the passes are {', '.join(_every_pass())}"
+        message, _, meant = str(error).partition(" (did you mean ")
+        hint = f"did you mean {meant.rstrip(')')}" if meant else f"the passes are {', '.join(_every_pass())}"
         raise CommandError(message, hint) from error
 
 
@@ -92,9 +91,11 @@ def usable(name: str) -> Renderer:
 
 def refuse_pass(name: str, program: str, delivers: Sequence[str], known: Sequence[str]) -> NoReturn:
     """Say that there is no such pass, and which one is near."""
+    from tracer.near import near
+
     # Another light or bounce is not what a number beyond the last was meant to be.
-    near = [] if _is_pass(name) else difflib.get_close_matches(name, delivers, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(delivers)}"
+    meant = "" if _is_pass(name) else near(name, delivers)
+    hint = f"did you mean '{meant}'?" if meant else f"it has {', '.join(delivers)}"
     what = f"{program} has no pass '{name}'" if name in known or _is_pass(name) else f"unknown pass '{name}'"
     raise CommandError(what, hint)
 

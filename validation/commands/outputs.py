@@ -32,7 +32,7 @@ def writable(path: Path) -> None:
         raise CommandError(f"{path} is a folder, expected the name of a file")
     if not path.parent.is_dir():
         raise CommandError(f"{path}: there is no folder {path.parent}", f"mkdir -p {shlex.quote(str(path.parent))}")
-    if path.exists() and not path.is_file():  # a pipe or a device
+    if path.exists() and (not path.is_file() or str(path).startswith("/dev/")):  # a pipe, a device, what is open
         if not os.access(path, os.W_OK):
             raise CommandError(f"{path}: cannot be written", "name another file")
         return
@@ -45,19 +45,21 @@ def writable(path: Path) -> None:
 
 
 @contextmanager
-def folder(path: Path) -> Iterator[None]:
+def folder(path: Path, option: str = "--report") -> Iterator[None]:
     """A folder to write into; what had to be made for it goes again if nothing was written."""
     made: list[Path] = []
     try:
         try:
             if path.exists() and not path.is_dir():
-                raise CommandError(f"--report: {path} is a file, expected a folder", "name a folder")
+                raise CommandError(f"{option}: {path} is a file, expected a folder", "name a folder")
             missing = [folder for folder in (path, *path.parents) if not folder.exists()]
             for folder in reversed(missing):
                 folder.mkdir(exist_ok=True)
                 made.append(folder)
+            with tempfile.TemporaryFile(dir=path):
+                pass
         except OSError as error:
-            raise CommandError(f"--report: {path}: {error.strerror or error}", "name another folder") from error
+            raise CommandError(f"{option}: {path}: {error.strerror or error}", "name another folder") from error
         yield
     finally:
         for folder in reversed(made):

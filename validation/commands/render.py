@@ -11,8 +11,8 @@ import click
 from validation.commands.errors import FAILED, CommandError, blaming, errors
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_size, load_scene, refuse_pass, settings_of, usable
-from validation.commands.outputs import command_line, writable
-from validation.options import Size, names_option, settings_options
+from validation.commands.outputs import command_line, progressing, writable
+from validation.options import Size, loudness_options, names_option, settings_options
 
 
 @click.command(
@@ -35,6 +35,7 @@ from validation.options import Size, names_option, settings_options
 @names_option("--passes", help="Passes to draw; default: beauty for an image, else all.")
 @click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
 @settings_options
+@loudness_options(quieter="No progress.")
 def render(
     scene: Path,
     output: Path,
@@ -74,8 +75,10 @@ def render(
             raise CommandError(f"{scene} has none of the passes {', '.join(wanted)}", f"it has {', '.join(delivers)}")
         if picture and "beauty" not in chosen:
             raise CommandError(f"{output} would hold the pass 'beauty', which is not asked for", "write .exr or .npz")
-        with blaming(program):
-            drawn = draw(program, "<stdin>" if str(scene) == "-" else str(scene), loaded, chosen, settings)
+        label = "<stdin>" if str(scene) == "-" else str(scene)
+        with progressing() as progress, blaming(program):
+            progress(f"{label}: {program.name}")
+            drawn = draw(program, label, loaded, chosen, settings)
             versions = dict(program.versions())
         drawn.metadata |= {"renderer": program.name, "scene": loaded.text(), "command": shlex.join(command_line())}
         drawn.metadata |= {f"version of {key}": value for key, value in versions.items()}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
+from validation import records
 from validation.commands.errors import errors
 from validation.commands.help import Command
 
@@ -31,7 +30,8 @@ def list_renderers(ctx: click.Context, /, as_json: bool, missing: bool, by_pass:
     if missing:
         entries = [entry for entry in entries if not entry["available"]]
     if as_json:
-        click.echo(json.dumps({"renderers": entries, "failures": failures}, indent=1))
+        record = records.result("renderers", {"renderers": entries, "failures": failures})
+        click.echo(records.text(record), nl=False)
     elif by_pass:
         print_passes(entries, failures)
     elif missing:

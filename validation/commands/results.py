@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from validation.commands.errors import StoppedError
+from validation import records
+from validation.commands.errors import kept, nothing_kept
 from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Results:
         start, to, paths = time.monotonic(), self._outputs, []
         if to.json_file:
             record = result.record() if record is None else record
-            write_text(to.json_file, json.dumps(record, indent=1, allow_nan=False) + "\n")
+            records.write(to.json_file, record)
         if to.junit:
             from validation.junit import junit
 
@@ -102,18 +102,12 @@ class Results:
     def keeping(self, tell: Callable[[Validation], None]) -> Iterator[None]:
         """Ctrl-C in here: what is finished is told and goes into the files, and the error says so."""
         try:
-            yield
+            with nothing_kept(*self._outputs.files, self.page):
+                yield
         except KeyboardInterrupt as error:
             if self.kept is None:
-                asked = self._outputs.files or self.page
-                raise StoppedError("nothing was finished, nothing was written" if asked else "") from error
+                raise
             tell(self.kept)
-            raise StoppedError(self._keep(self.kept)) from error
-
-    def _keep(self, kept: Validation) -> str:
-        """Write what is finished, and return what to say about it."""
-        paths, every = self._write_kept(kept), len(kept.scenes)
-        done = f"{every - len(kept.unfinished)} of {every} {kept.parts}s"
-        *some, last = map(str, paths) if paths else ("",)
-        files = f"{', '.join(some)} and {last}" if some else last
-        return f"kept {files} with {done}" if paths else f"{done} were finished"
+            every = len(self.kept.scenes)
+            done = f"{every - len(self.kept.unfinished)} of {every} {self.kept.parts}s"
+            raise kept(self._write_kept(self.kept), done) from error

@@ -24,7 +24,8 @@ def ending() -> Iterator[None]:
 
     def end(*_: object) -> None:
         terminated.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a script may have it ignored
+        if not callable(signal.getsignal(signal.SIGINT)):  # a script may have it ignored
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         # Put off like Ctrl-C where that is: so it goes to this thread.
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 

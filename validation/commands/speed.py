@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from validation.commands.errors import CommandError, errors
+from validation import records
+from validation.commands.errors import CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_size
 from validation.commands.outputs import (
@@ -18,7 +18,6 @@ from validation.commands.outputs import (
     progressing,
     summing,
     writable,
-    write_text,
 )
 from validation.options import (
     NO_LIMITS,
@@ -31,6 +30,10 @@ from validation.options import (
     open_option,
     positive,
 )
+from validation.terminal import counted
+
+#: Seconds that --kernels takes about: of --limit so much is kept for it, or half.
+KERNELS = 60.0
 
 
 @click.command(
@@ -104,7 +107,7 @@ def speed(
     turns. docs/speed.md says how each number is made.
     """
     from validation import speed as module
-    from validation.run import load_scenes
+    from validation.run import Note, load_scenes
     from validation.speed_text import print_speed, write_page
 
     command = command_line()
@@ -123,7 +126,7 @@ def speed(
             writable(file)
         if report:
             page_in(ctx, report)
-        with progressing() as progress:
+        with nothing_kept(json_file, plot, report), progressing() as progress:
             result = module.speed(
                 loaded,
                 chosen,
@@ -131,28 +134,38 @@ def speed(
                 size=size,
                 rounds=rounds,
                 seconds=seconds,
-                limit=limit,
+                limit=limit - min(KERNELS, limit / 2) if kernels else limit,
                 pixels=pixels,
                 edges=edges,
                 progress=progress,
             )
-            if kernels:
+            result.options["limit"] = limit
+            if kernels and not result.interrupted:
                 from validation import speed_kernels
 
-                result.kernels = speed_kernels.kernels(loaded, size=size, progress=progress)
+                rest = limit - result.seconds
+                result.kernels = speed_kernels.kernels(loaded, size=size, limit=rest, progress=progress)
+                result.interrupted = result.kernels.interrupted
+        for count in threads or ():
+            if count > (most := len(module.processors())):
+                note = f"--threads {count}: here are {counted(most, 'processor')}, so {most} it is"
+                result.left_out.append(Note("", "", note))
         result.command = command
         with summing():
             print_speed(result)
         if json_file:
-            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
-        if plot and module.panels(result):
+            records.write(json_file, result.record())
+        plotted, page = plot if module.panels(result) else None, None
+        if plotted:
             from validation.speed_plot import write_plot
 
-            write_plot(plot, module.panels(result), module.caption(result))
-            click.echo(plot)
+            write_plot(plotted, module.panels(result), module.caption(result))
+            click.echo(plotted)
         if report:
-            written = write_page(report, result)
-            click.echo(written)
-            if open_report:
-                open_page(written)
+            page = write_page(report, result)
+            click.echo(page)
+        if result.interrupted:
+            raise kept((json_file, plotted, page), result.progress)
+        if page and open_report:
+            open_page(page)
     ctx.exit(result.status)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from validation.commands.errors import CommandError, errors
+from validation import records
+from validation.commands.errors import CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import check_pairs
 from validation.commands.outputs import (
@@ -23,9 +22,7 @@ from validation.commands.outputs import (
     progressing,
     summing,
     writable,
-    write_text,
 )
-from validation.commands.signals import ended
 from validation.options import Whole, json_option, loudness_options, names_option, open_option
 
 if TYPE_CHECKING:
@@ -136,16 +133,18 @@ def stability(
         check_open(report, wanted=open_report)
         if json_file:
             writable(json_file)
-        if scenes is None:
-            result = _climb(ctx, ladder, renderer, report, write, jobs or min(2 * cores, 8), command)
-        else:
-            result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
+        with nothing_kept(json_file, report):
+            if scenes is None:
+                result = _climb(ctx, ladder, renderer, report, write, jobs or min(2 * cores, 8), command)
+            else:
+                result = _fuzz(scenes, seed, first, renderer, against, jobs or min(cores, 8), output, command)
         if json_file:
-            write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
-    if open_report and report and not result.interrupted:
-        open_page(report / "index.html")
+            records.write(json_file, result.record())
     if result.interrupted:
-        ctx.exit(ended())
+        written = report / "index.html" if report else None
+        raise kept((json_file, written), result.progress)
+    if open_report and report:
+        open_page(report / "index.html")
     ctx.exit(result.status)
 
 
@@ -177,8 +176,8 @@ def _fuzz(
 
     if renderer:
         check_pairs(renderer, [against])
-    if output.exists() and not os.access(output, os.W_OK):
-        raise CommandError(f"{output}: cannot be written", "name another folder")
+    with folder(output, "--output"):  # it is made where there is something to keep
+        pass
     with progressing() as progress:
         result = fuzz(
             scenes,
@@ -206,6 +205,7 @@ def _climb(
     command: Sequence[str],
 ) -> Stability:
     """Ladders."""
+    from tracer.near import near
     from validation import ladders
     from validation.curves import ours, write_curves
     from validation.stability import print_stability
@@ -214,8 +214,8 @@ def _climb(
     every = ladders.names()
     for name in ladder or ():
         if name not in every:
-            near = difflib.get_close_matches(name, every, n=1)
-            hint = (f"did you mean '{near[0]}'? " if near else "") + f"the ladders are {', '.join(every)}"
+            meant = near(name, every)
+            hint = f"did you mean '{meant}'?" if meant else f"the ladders are {', '.join(every)}"
             raise CommandError(f"unknown ladder '{name}'", hint)
     if report:
         ctx.with_resource(folder(report))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from validation.commands.errors import AT, FAILED, CommandError, errors
+from validation import records
+from validation.commands.errors import AT, FAILED, CommandError, errors, kept, nothing_kept
 from validation.commands.help import Command
 from validation.commands.inputs import IMAGES, PASS_FILES, check_pixels, check_size, settings_of
-from validation.commands.outputs import command_line, progressing, summing, writable, write_text
-from validation.commands.signals import ended
+from validation.commands.outputs import command_line, progressing, summing, writable
 from validation.options import Count, Place, Size, Whole, json_option, loudness_options, names_option, settings_options
 
 if TYPE_CHECKING:
@@ -105,29 +104,34 @@ def truth(
         for file in filter(None, (json_file, output)):
             writable(file)
         settings, status = settings_of(options), 0
-        # On a terminal what is printed beside the progress would go where the progress goes.
-        lines: Sequence[str] = ()
         try:
-            with progressing() as progress:
+            with nothing_kept(json_file, output), progressing() as progress:
                 common: dict[str, Any] = {"seed": seed, "jobs": jobs, "progress": progress}
                 if renderer:
                     common |= {"pixels": pixels or PIXELS, "edges": EDGES if edges is None else edges}
                     result = certify_scenes(loaded, renderer, settings, **common)
                 else:
                     common |= {"json_file": json_file, "output": output, "command": command}
-                    lines = tell(loaded, at or pixels or PROVED, settings, **common)
+                    told = tell(loaded, at or pixels or PROVED, settings, **common)
         except NOWHERE as error:
             raise CommandError(f"truth could not be had: {error}", "--at proves other pixels", FAILED) from error
-        for line in lines:
-            click.echo(line)
-        if output:
-            click.echo(output)
+        # On a terminal what is printed beside the progress would go where the progress goes.
         if renderer:
-            result.command, status = command, ended() if result.interrupted else result.status
+            result.command, status = command, result.status
             with summing():
                 print_certification(result)
             if json_file:
-                write_text(json_file, json.dumps(result.record(), indent=1, allow_nan=False) + "\n")
+                records.write(json_file, result.record())
+            if result.interrupted:
+                raise kept([json_file], result.progress)
+        else:
+            for line in told.lines:
+                click.echo(line)
+            if told.interrupted:
+                lost = f"; {output} is not written, as it would lack the others" if output else ""
+                raise kept(told.files, told.progress + lost)
+            if output:
+                click.echo(output)
     ctx.exit(status)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib.metadata
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tracer.near import near
 
 if TYPE_CHECKING:
     from tracer import Scene
@@ -127,9 +128,9 @@ class UnknownRendererError(RendererNameError):
     def __init__(self, name: str, known: Iterable[str]) -> None:
         """Look for the nearest of the known names."""
         names = sorted({alias for entry in known for alias in (entry, entry.partition("@")[0])})
-        near = difflib.get_close_matches(name, names, n=1)
+        meant = near(name, names)
         super().__init__(f"unknown renderer '{name}'")
-        self.hint = (f"did you mean '{near[0]}'? " if near else "") + f"known renderers: {', '.join(names)}"
+        self.hint = f"did you mean '{meant}'?" if meant else f"known renderers: {', '.join(names)}"
 
 
 @dataclass(frozen=True)

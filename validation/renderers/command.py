@@ -38,6 +38,7 @@ import numpy as np
 from tracer.passes import Passes
 from validation import images
 from validation.encoding import Encoding
+from validation.processes import deferred, end, ends
 from validation.renderers import RendererNameError, Settings, Uncertainty, floats
 from validation.run import RendererError
 
@@ -338,37 +339,28 @@ def _run(words: Sequence[str], folder: Path, limits: Limits, size: int) -> _End:
     ours = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     launcher = [sys.executable, "-I", "-S", "-c", LAUNCHER, str(limits.memory), str(size), str(folder / "launch")]
     with (folder / "stdout").open("wb") as out, (folder / "stderr").open("wb") as err:
-        process = subprocess.Popen(
-            [*launcher, *words],
-            cwd=folder / "work",
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=err,
-            start_new_session=True,
-        )
+        process = None
         try:
-            late = not _ends(process.pid, limits.seconds)
+            with deferred():
+                process = subprocess.Popen(
+                    [*launcher, *words],
+                    cwd=folder / "work",
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=err,
+                    start_new_session=True,
+                )
+            late = not ends(process.pid, limits.seconds)
         finally:
-            # Before it is waited for: until then its number, which is that of its group, cannot become another's.
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
-            _, status, usage = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
+            if process:
+                with deferred():
+                    # Before it is waited for: until then its number, that of its group, cannot become another's.
+                    end([process.pid])
+                    _, status, usage = os.wait4(process.pid, 0)
+                    process.returncode = os.waitstatus_to_exitcode(status)
     # A new process counts the memory of the one that it came from, ours.
     peak = usage.ru_maxrss * 1024 if usage.ru_maxrss > ours else 0
     return _End(process.returncode, late, peak)
-
-
-def _ends(pid: int, seconds: float) -> bool:
-    """Whether a process ends in that time; it is not waited for yet."""
-    deadline, pause = time.monotonic() + seconds, 0.001
-    while os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
-        left = deadline - time.monotonic()
-        if left <= 0:
-            return False
-        time.sleep(min(pause, left))
-        pause = min(2 * pause, 0.02)
-    return True
 
 
 # ---- what there is to say about it

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tracer.passes import MARGINS, TABLE
-from validation.compare import json_value
+from validation.records import json_value
 from validation.report import floats
 from validation.report.verdicts import CAUSES
 from validation.run import explain_options
