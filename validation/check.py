@@ -12,6 +12,7 @@ import contextlib
 import functools
 import itertools
 import math
+import shlex
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -157,6 +158,12 @@ class Convention:
 
 #: What the specification asks for.
 SPECIFIED = Convention()
+
+
+def explain_words(convention: Convention) -> list[str]:
+    """Options of `whitted explain` that tell it of a convention; where it samples is a setting."""
+    words = [] if convention.quantisation == SPECIFIED.quantisation else ["--quantisation", convention.quantisation]
+    return words + ["--flipped"] * convention.flipped
 
 
 @dataclass(frozen=True)
@@ -480,7 +487,10 @@ class Still:
         picture = self._of(scene)
         assert picture is not None
         beauty = self.convention.upright(picture.levels) / np.float64(picture.steps)
-        return Passes(dict.fromkeys(passes, beauty), {"levels": str(picture.steps)})
+        told = {"levels": str(picture.steps)}
+        if self.name.startswith(PREFIX):
+            told["explain"] = shlex.join(explain_words(self.convention))
+        return Passes(dict.fromkeys(passes, beauty), told)
 
     def max_pixels(self, scene: Scene, passes: Sequence[str]) -> int | None:
         """They are there."""

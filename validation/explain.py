@@ -14,6 +14,8 @@ from flint import arb, ctx, fmpq
 from tracer.passes import MARGINS, lookup, names, quantise
 from validation import records
 from validation.compare import Judge
+from validation.court import distance
+from validation.encoding import Encoding
 from validation.flips import Flip, flipped, flips
 from validation.follow import Hit, Key, Vector
 from validation.records import Record
@@ -25,6 +27,7 @@ from validation.run import (
     analyse,
     blaming,
     draw,
+    encoding_of,
     shrink,
     versions,
     why_not,
@@ -35,7 +38,6 @@ from validation.verdict import Court, Side
 if TYPE_CHECKING:
     from tracer import Scene
     from tracer.margins import Analysis
-    from tracer.passes import Passes
 
 Triple = tuple[Ball, Ball, Ball]
 
@@ -146,7 +148,7 @@ class Drawn:
     """What a renderer made of the pixel. `reason`: why there is nothing, `hint`: what to do; `failed`: it should have
     drawn, and did not.
 
-    `differences` are in the order of computation.
+    `differences` are in the order of computation. `encoding`: how `levels` stand for colours; None: it drew colours.
     """
 
     renderer: str
@@ -155,6 +157,7 @@ class Drawn:
     failed: bool = False
     values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     levels: tuple[int, int, int] | None = None
+    encoding: Encoding | None = None
     differences: tuple[Difference, ...] = ()
     verdict: str = ""
 
@@ -237,6 +240,7 @@ class Explanation:
             "failed": drawn.failed,
             "values": dict(drawn.values),
             "levels": drawn.levels,
+            "quantisation": drawn.encoding and drawn.encoding.quantisation,
             "agrees": None if drawn.reason else not differences,
             "first_difference": differences[0]["name"] if differences else None,
             "differences": differences,
@@ -627,23 +631,33 @@ def look(
     except RendererError as error:
         return Drawn(name, str(error), failed=True)
     values = {entry: tuple(float(v) for v in np.atleast_1d(drawn[entry][y, x])) for entry in wanted}
-    levels = None
+    levels, encoding = None, encoding_of(renderer, drawn)
     if "beauty" in drawn:
-        red, green, blue = (int(level) for level in quantise(drawn["beauty"][y, x]))
+        color = drawn["beauty"][y, x]
+        red, green, blue = (int(level) for level in (np.rint(color * encoding.steps) if encoding else quantise(color)))
         levels = red, green, blue
     judge = Judge(scene, settings, analysis, claim, CERTAIN)
     found = [
         difference
         for entry in order(len(scene.lights), settings.max_reflections)
-        if entry in values and (difference := _difference(entry, values, truth, lit, judge))
+        if entry in values and (difference := _difference(entry, values, truth, lit, judge, encoding))
     ]
     verdict, failed = "", False
     try:
         if found:
-            verdict = judged(scene, settings, truth, renderer, drawn, claim, analysis)
+            side = Side(renderer, drawn, claim, encoding)
+            verdict = judged(scene, settings, truth, side, analysis)
     except RendererError as error:
         verdict, failed = f"No verdict: {error}.", True
-    return Drawn(name, failed=failed, values=values, levels=levels, differences=tuple(found), verdict=verdict)
+    return Drawn(
+        name,
+        failed=failed,
+        values=values,
+        levels=levels,
+        encoding=encoding,
+        differences=tuple(found),
+        verdict=verdict,
+    )
 
 
 def too_large(scene: Scene) -> str:
@@ -665,9 +679,14 @@ def small_enough(scene: Scene, settings: Settings, renderers: Sequence[Renderer]
 
 
 def _difference(
-    name: str, values: Mapping[str, tuple[float, ...]], truth: Truth, lit: Sequence[bool], judge: Judge
+    name: str,
+    values: Mapping[str, tuple[float, ...]],
+    truth: Truth,
+    lit: Sequence[bool],
+    judge: Judge,
+    encoding: Encoding | None = None,
 ) -> Difference | None:
-    """How a pass of a renderer differs from truth, if by more than it may."""
+    """How a pass of a renderer differs from truth, if by more than it may; of levels from what these stand for."""
     quantity, x, y = lookup(name).quantity, truth.x, truth.y
     balls, seen = truth.values[name], values[name]
     hit = truth.id >= 0
@@ -676,6 +695,8 @@ def _difference(
     if quantity == "visibility" and hit and not lit[int(name.removeprefix("shadow.L"))]:
         return None  # no light from behind the surface
     off = [ball.error(value) for ball, value in zip(balls, seen, strict=True)]
+    if encoding and name == "beauty":
+        off = [distance(name, seen, balls, encoding)]
     off = [math.inf if math.isnan(entry) else entry for entry in off]
     error = math.hypot(*off) if quantity == "normal" else max(off)
     allowed = judge.tolerance(name)
@@ -698,13 +719,11 @@ def judged(
     scene: Scene,
     settings: Settings,
     truth: Truth,
-    renderer: Renderer,
-    drawn: Passes,
-    claim: Uncertainty,
+    side: Side,
     analysis: Analysis,
 ) -> str:
     """The judge's sentence about a renderer that differs at this pixel; "" where it is within what it claims."""
-    finding = Court(scene, settings, analysis).find(truth, Side(renderer, drawn, claim), tuple(drawn))
+    finding = Court(scene, settings, analysis).find(truth, side, tuple(side.passes))
     if finding.right or finding.decision is None:
         return ""
     excused = "" if finding.explained else "Not excused. "

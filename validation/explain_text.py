@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
 from flint import fmpq
 
 from tracer.passes import MARGINS, lookup
@@ -418,6 +419,9 @@ def _levels(told: Explanation, drawn: Sequence[Drawn]) -> Iterator[Line]:
         if entry.levels is not None and entry.levels != told.levels:
             levels = ", ".join(map(str, entry.levels))
             off = "" if entry.differences else " (within its tolerance: a rounding before the truncation)"
+            if entry.encoding:
+                exact = entry.encoding.encode(np.array([ball.value for ball in told.truth.values["beauty"]]))
+                off = f" ({entry.encoding.says}: of the exact color {', '.join(map(str, exact))})"
             yield f"    {entry.renderer}: {levels}{off}", "red" if entry.differences else ""
 
 

@@ -14,6 +14,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Those of tracer.passes, which takes longer to import than help may take; a test holds them together.
 SAMPLES = ("corner", "center", "bottom-left", "top-right", "inclusive")
+#: Those of validation.encoding, as above.
+QUANTISATIONS = ("truncate", "round", "255.9", "256", "srgb", "srgb-truncate", "gamma", "gamma-truncate")
 #: As tracer limits them.
 MOST_THREADS = 1024
 #: That of validation.run, which takes longer to import than help may take; a test holds them together.

@@ -79,6 +79,11 @@ class Rendered:
     verdicts: Verdicts | None = None
     analysis: Analysis | None = None
 
+    @property
+    def convention(self) -> str:
+        """Options by which `whitted explain` knows how a program made its image."""
+        return self.renderer.metadata.get("explain", "") or self.reference.metadata.get("explain", "")
+
 
 @dataclass(kw_only=True)
 class Outcome:
@@ -366,12 +371,14 @@ def load_scenes(paths: Iterable[str | Path], *, limits: bool = True) -> dict[str
     return scenes
 
 
-def explain_command(label: str, scene: Scene, settings: Settings, x: int, y: int, names: Iterable[str]) -> str:
+def explain_command(
+    label: str, scene: Scene, settings: Settings, x: int, y: int, names: Iterable[str], more: str = ""
+) -> str:
     """What to type to have a pixel of the scene, as it was drawn, explained; `names`: of renderers, or of images."""
     where = "-" if label == "<stdin>" else label
     known = [name for name in names if name.partition(":")[0] != "image"]
     words = ["whitted", "explain", where, str(x), str(y), *renderer_words(known)]
-    return f"{shlex.join(words)} {explain_options(label, scene, settings)}".rstrip()
+    return f"{shlex.join(words)} {explain_options(label, scene, settings, more)}".rstrip()
 
 
 def renderer_words(names: Iterable[str]) -> list[str]:
@@ -382,9 +389,9 @@ def renderer_words(names: Iterable[str]) -> list[str]:
     return [word for one in lists for word in ("--renderer", one)]
 
 
-def explain_options(label: str, scene: Scene, settings: Settings) -> str:
-    """What such a command needs beside the pixel and the renderers: it is the same for every pixel."""
-    words: list[str] = []
+def explain_options(label: str, scene: Scene, settings: Settings, more: str = "") -> str:
+    """What such a command needs beside the pixel and the renderers: it is the same for every pixel; `more` of it."""
+    words = shlex.split(more)
     if not _is_file(label, scene):
         words += ["--size", f"{scene.view.columns}x{scene.view.rows}"]
     for name in ("sample", "shadow_epsilon", "max_reflections"):

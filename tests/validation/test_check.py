@@ -636,7 +636,7 @@ def test_options_that_validate_has_too_are_the_same() -> None:
         (["--image", "a.png", "--size", "8x8"], "--size: an image has the size that it has", "--command"),
         (["--command", ""], "the command", "./mine"),
         (["--image", "a.png", "--image", "b.png"], "expected 1 --image for 1 scene, found 2", "one each"),
-        (["--image", "missing.png"], "missing.png: error: No such file", ""),
+        (["--image", "missing.png"], "missing.png: error: no such file", ""),
         (["--image", "small.png"], "small.png: error: the image is 2x3, the scene asks for 64x48", ""),
         (["--image", "text.txt"], "text.txt: error: it is no image", "PPM"),
         (["--command", "x"], "it lacks {scene}", "./mine {scene}"),

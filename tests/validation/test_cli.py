@@ -22,6 +22,7 @@ from tracer import _native
 from tracer.passes import SAMPLES, Passes
 from validation import options
 from validation.commands import errors, inputs
+from validation.encoding import QUANTISATIONS
 from validation.run import MOST_VERDICTS
 
 
@@ -168,6 +169,7 @@ def test_an_instruction_set_that_is_not_there(
 
 def test_the_samples_are_those_of_the_renderers() -> None:
     assert options.SAMPLES == SAMPLES
+    assert tuple(QUANTISATIONS) == options.QUANTISATIONS
     assert options.MOST_THREADS == _native.MOST_THREADS
     assert f"more than {inputs.LONGEST_SIDE} columns" in options.NO_LIMITS
     assert options.MOST_VERDICTS == MOST_VERDICTS

@@ -6,6 +6,7 @@ import functools
 import json
 import math
 import random
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from rich.console import Console
 
 import tracer
 from validation import explain_text, renderers
+from validation.cli import main
 from validation.explain import Explanation, decision, evenness, explain, order
 from validation.explain_text import lines, show
 from validation.follow import KINDS, Key
@@ -48,6 +50,8 @@ BACK 0.25 0.5 0.75
 AMBIENT 0.5 0.5 0.5
 OUTPUT plain.ppm
 """
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def text_of(told: Explanation) -> str:
@@ -738,3 +742,46 @@ def test_passes_of_many_bounces_are_told_together(run: Any, scene: str) -> None:
     text = " ".join(run(scene, 0, 0, "--renderer", "native-f64", "--max-reflections", 99).out.split())
     assert "reflection.1 to .99, reflection" in text
     assert "reflection.2" not in text
+
+
+def test_bytes_of_a_program_are_held_as_the_program_makes_them(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    program = tmp_path / "rounds.py"
+    program.write_text(
+        "import sys, numpy, tracer\n"
+        "color = tracer.render(tracer.load(sys.argv[1]), ['beauty'])['beauty'].clip(0, 1)\n"
+        "levels = numpy.rint(color[::-1] * 255).astype('u1')\n"
+        "sys.stdout.buffer.write(b'P6 %d %d 255\\n' % levels.shape[1::-1] + levels.tobytes())\n"
+    )
+    scene = ROOT / "scenes" / "gallery" / "shadows.txt"
+    words = [
+        "explain",
+        str(scene),
+        "20",
+        "30",
+        "--size",
+        "60x40",
+        "--renderer",
+        f"cmd:{sys.executable} {program} {{scene}}",
+    ]
+
+    def told(*options: str) -> tuple[str, Any]:
+        with pytest.raises(SystemExit):
+            main([*words, *options, "--json", str(tmp_path / "told.json")])
+        (entry,) = json.loads((tmp_path / "told.json").read_text())["renderers"]
+        return capsys.readouterr().out, entry
+
+    text, entry = told("--quantisation", "round", "--flipped")
+    assert entry["agrees"], text
+    assert entry["quantisation"] == "round"
+    assert not told("--flipped")[1]["agrees"]
+    assert not told("--quantisation", "round")[1]["agrees"]
+    mirrors = str(ROOT / "scenes" / "gallery" / "mirrors.txt")
+    program.write_text(program.read_text().replace("['beauty'])", "['beauty'], max_reflections=1)"))
+    command = ["check", mirrors, "--size", "60x40", "--command", name.removeprefix("cmd:")]
+    with pytest.raises(SystemExit):
+        main([*command, "--report", str(tmp_path / "report")])
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert page.count("--quantisation round --flipped --size 60x40</code>") > 3
+    assert '"options": "--quantisation round --flipped --size 60x40"' in page

@@ -15,7 +15,7 @@ from validation.commands.errors import FAILED, CommandError, errors
 from validation.commands.help import Command
 from validation.commands.inputs import check_pixels, check_size, load_scene, settings_of
 from validation.commands.outputs import command_line, progressing, writable
-from validation.options import Place, Size, json_option, loudness_options, names_option, settings_options
+from validation.options import QUANTISATIONS, Place, Size, json_option, loudness_options, names_option, settings_options
 
 #: How a pixel is named.
 XY = "one scene, then a column and a row, from 0 at the top left: whitted explain SCENE X Y"
@@ -57,6 +57,14 @@ def _nothing_more(_: click.Context, parameter: click.Parameter, value: tuple[str
     "size, are listed as not drawn.",
 )
 @click.option("--size", type=Size(), help="Columns and rows; default: the scene's own.")
+@click.option(
+    "--quantisation",
+    type=click.Choice(QUANTISATIONS),
+    default="truncate",
+    show_default=True,
+    help="How programs (cmd:...) make a colour a byte, as `whitted check` finds it.",
+)
+@click.option("--flipped", is_flag=True, help="The first row of the images of programs is the lowest.")
 @settings_options
 @json_option
 @loudness_options(quieter="No progress.")
@@ -69,6 +77,8 @@ def explain(
     y: int,
     renderer: tuple[str, ...] | None,
     size: tuple[int, int] | None,
+    quantisation: str,
+    flipped: bool,
     json_file: Path | None,
     **options: Any,
 ) -> None:
@@ -81,11 +91,15 @@ def explain(
     from validation.explain import explain as run
     from validation.explain import small_enough, too_large
     from validation.explain_text import print_explanation
+    from validation.renderers.command import Command as Program
     from validation.run import resized
     from validation.truth import NOWHERE
 
     with errors():
         chosen = [renderers.get(name) for name in renderer] if renderer else list(renderers.all())
+        for one in chosen:
+            if isinstance(one, Program):
+                one.encoding, one.flipped = replace(one.encoding, quantisation=quantisation), flipped
         check_size(size, no_limits=options["no_limits"])
         loaded = load_scene(scene, no_limits=options["no_limits"])
         loaded = resized(loaded, size, limits=False) if size else loaded

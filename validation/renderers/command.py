@@ -137,6 +137,8 @@ class Command:
         self.limits = limits or Limits()
         #: How its levels stand for colours, as the specification has it; how many there are is said with the passes.
         self.encoding = Encoding("truncate", 255)
+        #: Whether the first row of its images is the lowest.
+        self.flipped = False
         self._words = _split(self.template)
         self._folder = Path.cwd()
 
@@ -227,7 +229,7 @@ class Command:
             except _FindingError as error:
                 finding = finding or error
             else:
-                beauty = image.levels / np.float64(image.steps)
+                beauty = (image.levels[::-1] if self.flipped else image.levels) / np.float64(image.steps)
                 told = {"renderer": self.name, "levels": str(image.steps), **self.versions()}
                 drawn = Passes(dict.fromkeys(passes, beauty), told)
                 if finding is None:
