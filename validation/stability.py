@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import functools
 import multiprocessing
 import multiprocessing.connection
@@ -508,6 +509,7 @@ class Stability(Outcome):
     files: Mapping[tuple[str, str], Path] = field(default_factory=dict)
     seconds: float = 0.0
     interrupted: bool = False
+    date: str = ""
 
     def steps(self, ladder: Ladder, renderer: str) -> list[tuple[str, Step | None]]:
         """Of every rung; None where there is nothing."""
@@ -582,6 +584,7 @@ class Stability(Outcome):
                 "command": list(self.command),
                 "settings": vars(self.settings).copy(),
                 "versions": self.versions,
+                "date": self.date,
                 "interrupted": self.interrupted,
                 "seconds": self.seconds,
                 "renderers": [
@@ -666,6 +669,7 @@ def stability(
     named = tested or [entry.name for entry in renderers.best()]
     asked = {renderers.get(entry) if isinstance(entry, str) else entry: entry for entry in named}
     result = Stability(settings=settings, ladders=chosen, versions=versions(asked), command=command)
+    result.date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     usable = result.usable(asked)
     result.tested = tuple(entry.name for entry in usable)
     result.precisions = {entry.name: str(getattr(entry, "precision", "")) for entry in usable}

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from tracer.passes import Passes
     from validation.compare import Comparison, Maps
+    from validation.report.included import Included
     from validation.report.verdicts import Line, Row
     from validation.run import Note, Rendered, Validation
     from validation.verdict import Verdicts
@@ -176,8 +177,12 @@ def ours(path: Path) -> bool:
 class Report:
     """Collects pictures while scenes are compared, so that no arrays need to be kept, and writes the page."""
 
-    def __init__(self, *, small: bool = False) -> None:
-        """Empty; `small`: without the float data, so that every pass has its pictures instead."""
+    def __init__(self, *, small: bool = False, included: Sequence[Included] = ()) -> None:
+        """Empty; `small`: without the float data, so that every pass has its pictures instead.
+
+        `included`: results of other commands that the page shows, too.
+        """
+        self._included = included
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
         self._data = Data(small=small)
@@ -297,6 +302,7 @@ class Report:
             rows_shown=ROWS,
             causes=CAUSES,
             shapes=SHAPES,
+            included=self._included,
             command=shlex.join(result.command),
             made=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         )

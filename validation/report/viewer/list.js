@@ -145,6 +145,11 @@ export function markScene(state, list) {
   }
 }
 
+/** What other commands found, as the report in plain words has it. */
+function plots() {
+  return document.getElementById("included")?.innerHTML ?? "";
+}
+
 /** Scenes and pairs by passes; every cell leads to its comparison. */
 export function matrix() {
   const every = [...new Set(run.scenes.flatMap(passesOf))];
@@ -166,5 +171,5 @@ export function matrix() {
   );
   const heads = every.map((name) => `<th scope="col">${escaped(name).replace(/\./g, ".<wbr>")}</th>`).join("");
   const versions = Object.entries(run.versions).map(([name, value]) => `<tr><th scope="row">${escaped(name)}</th><td>${escaped(value)}</td></tr>`);
-  return `<p class="soft">Error of the worst interior pixel over its tolerance; up to 1 the two agree. Every cell leads to its comparison.</p><div class="wide" tabindex="0" role="region" aria-label="all comparisons"><table class="summary"><thead><tr><th scope="col">scene</th><th scope="col">renderers</th>${heads}</tr></thead><tbody>${rows.join("")}</tbody></table></div><h3>Repeat it with</h3><p><code class="command">${escaped(run.command)}</code></p><details><summary>Versions</summary><table class="plain">${versions.join("")}</table></details>`;
+  return `<p class="soft">Error of the worst interior pixel over its tolerance; up to 1 the two agree. Every cell leads to its comparison.</p><div class="wide" tabindex="0" role="region" aria-label="all comparisons"><table class="summary"><thead><tr><th scope="col">scene</th><th scope="col">renderers</th>${heads}</tr></thead><tbody>${rows.join("")}</tbody></table></div><h3>Repeat it with</h3><p><code class="command">${escaped(run.command)}</code></p><details><summary>Versions</summary><table class="plain">${versions.join("")}</table></details>${plots()}`;
 }
