@@ -84,7 +84,12 @@ class PassView:
     def pictures(self) -> dict[str, Any]:
         """Where the viewer finds them: their id, or where they have none their address."""
         found: dict[str, Any] = {}
-        for name, shown in (("a", self.a), ("b", self.a if self.shared else self.b), ("heat", self.heat)):
+        for name, shown in (
+            ("a", self.a),
+            ("b", self.a if self.shared else self.b),
+            ("heat", self.heat),
+            ("flip", self.flip),
+        ):
             if shown:
                 found[f"picture_{name}"] = shown.key or shown.uri
                 found["how"] = self.a.picture.how if self.a else ""

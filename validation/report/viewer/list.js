@@ -56,7 +56,7 @@ export function result(scene, onlyPass, onlyRenderer) {
 /** @param {Result} found */
 function told(found) {
   const error = found.worst ? number(found.worst.max) : NaN;
-  const worst = found.worst ? `largest error ${brief(error)} in ${found.pass}` : "";
+  const worst = found.worst ? `up to ${brief(error)} in ${found.pass}` : "";
   if (!found.made) return { bad: false, chip: "not compared", worst: "" };
   if (found.differ) return { bad: true, chip: `${found.differ} of ${found.made} differ`, worst };
   if (found.wrong) return { bad: true, chip: `${found.wrong} ${found.wrong === 1 ? "pixel" : "pixels"} unexplained or wrong`, worst };
@@ -123,7 +123,7 @@ export function fillList(state, list, count, choose) {
       button.dataset.scene = scene.key;
       const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
       const name = scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
-      button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name)}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
+      button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name).replace(/[/-]/g, "$&<wbr>")}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
       button.addEventListener("click", () => choose(scene));
       item.append(button);
       return item;

@@ -1,5 +1,5 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
-import { brightened, decades, differences, logarithmic, inferno, picture, range, signed } from "viewer/colors.js";
+import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
 import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run } from "viewer/data.js";
 import { brief, causes, escaped, inspect } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
@@ -159,13 +159,11 @@ async function draw() {
   const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.edges, state.flipped && mode === "flip"].join(" ");
   if (made.key !== key) {
     have.flags = await flagsOf(scene, now?.comparison);
-    const fresh = scene.floats ? await fromFloats(mine) : await fromPictures();
+    const fresh = mode === "flipmap" ? await fromFlip() : scene.floats ? await fromFloats(mine) : await fromPictures();
     if (mine !== turn || !fresh) return;
     made = { key, ...fresh };
     element("v-how").textContent = made.how;
-    const bar = element("v-bar");
-    bar.innerHTML = made.bar;
-    bar.hidden = !made.bar;
+    element("v-bar").innerHTML = made.bar;
   }
   stageElement.dataset.mode = mode;
   stage.show({
@@ -345,6 +343,39 @@ async function fromPictures() {
   return { panes: [{ title: `error of ${names.join(" against ")}`, image: heat ?? nothing }], how: told, bar, outlines: [] };
 }
 
+/** Why there is no map of FLIP; empty where there is one. */
+function withoutFlip() {
+  const one = comparison(state)?.comparison;
+  if (!one) return "these two were not compared in this pass";
+  if (one.flip) return "";
+  return state.pass === "beauty" ? "no map of FLIP: whitted validate --flip measures it" : "FLIP is of beauty alone";
+}
+
+/** What one sees who flips between the two images. */
+async function fromFlip() {
+  const { scene } = state;
+  const nothing = canvas(new ImageData(...scene.size));
+  const reason = withoutFlip();
+  if (reason) return { panes: [{ title: reason, image: nothing }], how: reason, bar: "", outlines: [] };
+  const one = comparison(state)?.comparison;
+  const image = await pictureOf(one?.picture_flip);
+  const names = [state.a, state.b].map((place) => scene.renderers[place].name);
+  const told = `up to ${brief(number(one?.flip?.max ?? null))}, mean ${brief(number(one?.flip?.mean ?? null))}`;
+  return {
+    panes: [{ title: `FLIP of ${names.join(" and ")}, ${told}`, image: image ?? black(scene.size) }],
+    how: `what an eye sees that flips between the two 8-bit images, at 67 pixels a degree; black: nothing${image ? "" : ", anywhere"}`,
+    bar: barOf([0, 0.25, 0.5, 0.75, 1].map((share) => [share, String(share)]), magma),
+    outlines: outlines(),
+  };
+}
+
+/** @param {[number, number]} size */
+function black(size) {
+  const pixels = new ImageData(...size);
+  for (let i = 3; i < pixels.data.length; i += 4) pixels.data[i] = 255;
+  return canvas(pixels);
+}
+
 /**
  * How values became colours.
  * @param {PassRow} row
@@ -499,6 +530,10 @@ function controls() {
   element("v-state").innerHTML = `<span class="chip ${one ? (one.ok ? "ok" : "bad") : "none"}" title="${escaped(one?.reason ?? "")}"><span aria-hidden="true">${mark}</span> ${text}</span>`;
   for (const button of element("v-modes").querySelectorAll("button")) {
     button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));
+    if (button.dataset.mode === "flipmap") {
+      button.title = withoutFlip();
+      button.setAttribute("aria-disabled", String(button.title !== ""));
+    }
   }
   exposure.value = String(state.exposure);
   exposure.disabled = !scene.floats || rowOf(state.pass).quantity !== "color";
@@ -527,6 +562,10 @@ function sample(kind) {
 
 /** @param {Mode} mode */
 function setMode(mode) {
+  if (mode === "flipmap" && withoutFlip()) {
+    element("v-how").textContent = withoutFlip();
+    return;
+  }
   if (mode === "flip" && state.mode === "flip") change({ flipped: !state.flipped });
   else change({ mode, flipped: false });
 }
@@ -590,6 +629,7 @@ const KEYS = {
   f: () => setMode("flip"),
   d: () => setMode("diff"),
   h: () => setMode("heat"),
+  m: () => setMode("flipmap"),
   v: () => setMode("verdict"),
   x: () => change({ a: state.b, b: state.a }),
   o: () => change({ edges: !state.edges && state.scene.floats }),
