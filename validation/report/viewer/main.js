@@ -1,6 +1,6 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
 import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
-import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run } from "viewer/data.js";
+import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim } from "viewer/data.js";
 import { brief, causes, escaped, inspect } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
@@ -50,6 +50,8 @@ let hovered = null;
 let turn = 0;
 /** What is on the screen, for what need not be made again. */
 let drawn = "";
+/** Which way the list was walked last. */
+let direction = 1;
 
 /** @type {{ planes: Map<string, Plane | null>, margins: Float32Array | null, flags: Uint8Array | null, scene: SceneEntry | null }} */
 const have = { planes: new Map(), margins: null, flags: null, scene: null };
@@ -142,21 +144,22 @@ async function pictureOf(key) {
 }
 
 /** What is drawn of the pictures of one comparison; made again only when one of these changes. */
-/** @type {{ key: string, panes: Pane[], how: string, bar: string, outlines: Outline[] }} */
-let made = { key: "", panes: [], how: "", bar: "", outlines: [] };
+/** @type {{ key: string, panes: Pane[], how: string, bar: string }} */
+let made = { key: "", panes: [], how: "", bar: "" };
 
 async function draw() {
   const mine = ++turn;
   controls();
   const { scene, pass, a, b, mode } = state;
   if (have.scene !== scene) {
+    if (have.scene) trim(have.scene, wantedOf(landing(have.scene)));
     have.planes.clear();
     have.margins = null;
     have.scene = scene;
     await placeholder(mine);
   }
   const now = comparison(state);
-  const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.edges, state.flipped && mode === "flip"].join(" ");
+  const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.flipped && mode === "flip"].join(" ");
   if (made.key !== key) {
     have.flags = await flagsOf(scene, now?.comparison);
     const fresh = mode === "flipmap" ? await fromFlip() : scene.floats ? await fromFloats(mine) : await fromPictures();
@@ -169,7 +172,7 @@ async function draw() {
   stage.show({
     size: scene.size,
     panes: made.panes,
-    outlines: made.outlines,
+    outlines: outlines(),
     verdicts: mode === "verdict" ? (now?.pair.verdicts ?? []) : [],
     pixel: state.pixel,
     zoom: state.zoom,
@@ -202,19 +205,33 @@ async function placeholder(mine) {
 }
 
 /**
- * The values that the neighbours in the list would show, read before they are asked for.
+ * The values that neighbours in the list would show, read before they are asked for.
  * @param {SceneEntry} scene
+ * @param {number} distance
  */
-async function readAhead(scene) {
+async function readAhead(scene, distance) {
   const scenes = filtered(state).map((entry) => entry.scene);
   const at = scenes.indexOf(scene);
-  for (const next of [scenes[at + 1], scenes[at - 1]]) {
-    if (!next || state.scene !== scene) continue;
-    const { pass, a, b } = landing(next);
-    for (const [place, name] of /** @type {[number, string][]} */ ([[a, pass], [b, pass], [a, "id"], [b, "id"]])) {
-      if (state.scene === scene) await plane(next, place, name);
+  for (const next of [scenes[at + distance * direction], scenes[at - distance * direction]]) {
+    if (!next) continue;
+    const shown = landing(next);
+    const wanted = wantedOf(shown);
+    await flagsOf(next, comparison({ ...state, ...shown })?.comparison);
+    for (const [place, name] of wanted) {
+      if (state.scene !== scene) return;
+      await plane(next, place, name);
     }
+    if (state.scene === scene) trim(next, wanted);
   }
+}
+
+/**
+ * The planes that a picture of a scene is made of.
+ * @param {Pick<State, "pass" | "a" | "b">} shown
+ * @returns {[number, string][]}
+ */
+function wantedOf({ pass, a, b }) {
+  return [[a, pass], [b, pass], [a, "id"], [b, "id"]];
 }
 
 /**
@@ -228,15 +245,39 @@ async function need(place, name) {
   return found;
 }
 
-/** Outlines of the kinds that there are. */
+/** @type {{ flags: Uint8Array | null, found: Outline[] }} */
+let outlined = { flags: null, found: [] };
+/** Outlines of the kinds that there are; found once, as long as the map is the same. */
 function outlines() {
   if (!state.edges || !have.flags) return [];
-  const [all, size] = [have.flags, state.scene.size];
+  if (outlined.flags !== have.flags) outlined = { flags: have.flags, found: trace(have.flags, state.scene.size) };
+  return outlined.found;
+}
+
+/**
+ * @param {Uint8Array} all
+ * @param {[number, number]} size
+ */
+function trace(all, size) {
   const known = Object.values(run.kinds).reduce((sum, bit) => sum | bit, 0);
   return KINDS.flatMap((kind) => {
     const path = outline(all, kind.bit, size, kind.bit === 4 ? known : 0);
     return path ? [{ kind, path }] : [];
   });
+}
+
+/** @type {{ planes: Plane[], limits: ReturnType<typeof range> | null }} */
+let measured = { planes: [], limits: null };
+/**
+ * The range of two planes, once.
+ * @param {Plane[]} planes
+ * @param {(Plane | null)[]} ids
+ */
+function limitsOf(planes, ids) {
+  const same = measured.planes.length === planes.length && planes.every((one, i) => one === measured.planes[i]);
+  const limits = (same && measured.limits) || range(planes, ids);
+  measured = { planes, limits };
+  return limits;
 }
 
 /** @param {number} mine */
@@ -250,8 +291,8 @@ async function fromFloats(mine) {
   const planes = /** @type {[Plane | null, Plane | null]} */ ([first, second]);
   const lacking = planes.map((one, side) => (one ? "" : `${names[side]} has no ${pass}`)).filter(Boolean).join("; ");
   const there = /** @type {Plane[]} */ (planes.filter(Boolean));
-  if (!there.length) return { panes: [], how: lacking, bar: "", outlines: [] };
-  const limits = range(there, planes.flatMap((one, side) => (one ? [[idsA, idsB][side]] : [])));
+  if (!there.length) return { panes: [], how: lacking, bar: "" };
+  const limits = limitsOf(there, planes.flatMap((one, side) => (one ? [[idsA, idsB][side]] : [])));
   const auto = brightened(row, limits);
   const paint = (/** @type {number} */ side) => {
     const one = planes[side];
@@ -259,8 +300,7 @@ async function fromFloats(mine) {
     return canvas(picture(row, one, [idsA, idsB][side], limits, scene.size, state.exposure + auto, state.clip));
   };
   const shown = how(row, limits, auto) + (lacking ? `; ${lacking}` : "");
-  const drawnOutlines = outlines();
-  const whole = { how: shown, bar: "", outlines: drawnOutlines };
+  const whole = { how: shown, bar: "" };
   if (mode === "side") return { ...whole, panes: [0, 1].map((side) => ({ title: title(side), image: paint(side) })) };
   if (mode === "slider") {
     return { ...whole, panes: [{ title: `${title(0)}  |  ${title(1)}`, image: paint(0), right: paint(1) }] };
@@ -269,7 +309,7 @@ async function fromFloats(mine) {
     const side = state.flipped ? 1 : 0;
     return { ...whole, how: `${shown}; f shows the other`, panes: [{ title: title(side), image: paint(side) }] };
   }
-  if (mode === "verdict") return { ...whole, ...verdictPane(paint(0)), outlines: drawnOutlines };
+  if (mode === "verdict") return { ...whole, ...verdictPane(paint(0)) };
   if (!first || !second) return { ...whole, panes: [{ title: lacking, image: canvas(new ImageData(...scene.size)) }] };
   const bits = have.flags;
   const hitsOnly = row.quantity === "length" || row.quantity === "position" || row.quantity === "normal";
@@ -292,7 +332,6 @@ async function fromFloats(mine) {
     panes: [{ title: both ? `${names[0]} − ${names[1]}` : `error of ${names[0]} against ${names[1]}`, image, signs: both ? signs : undefined }],
     how: `${what}; black: none; see-through: not compared${none}${rounded}`,
     bar: scale ? colorBar(scale, both) : "",
-    outlines: drawnOutlines,
   };
 }
 
@@ -329,7 +368,7 @@ async function fromPictures() {
   const [first, second, heat] = await Promise.all([pictureOf(keys[0]), pictureOf(keys[1]), pictureOf(one?.picture_heat)]);
   const nothing = canvas(new ImageData(...scene.size));
   const how = `${one?.how ?? "the page has no picture of this"}; without float data exposure and differences are left out`;
-  const none = { how, bar: "", outlines: [] };
+  const none = { how, bar: "" };
   const title = (/** @type {number} */ side) => `${"AB"[side]}  ${names[side]}`;
   const [a, b] = [first ?? nothing, second ?? nothing];
   if (mode === "side") return { ...none, panes: [{ title: title(0), image: a }, { title: title(1), image: b }] };
@@ -340,7 +379,7 @@ async function fromPictures() {
   const ticks = one?.ticks ?? [];
   const bar = ticks.length ? barOf(ticks, (share) => inferno(share)) : "";
   const told = heat ? "largest difference of a channel; black: none" : "no difference, or the page has no picture of it";
-  return { panes: [{ title: `error of ${names.join(" against ")}`, image: heat ?? nothing }], how: told, bar, outlines: [] };
+  return { panes: [{ title: `error of ${names.join(" against ")}`, image: heat ?? nothing }], how: told, bar };
 }
 
 /** Why there is no map of FLIP; empty where there is one. */
@@ -356,7 +395,7 @@ async function fromFlip() {
   const { scene } = state;
   const nothing = canvas(new ImageData(...scene.size));
   const reason = withoutFlip();
-  if (reason) return { panes: [{ title: reason, image: nothing }], how: reason, bar: "", outlines: [] };
+  if (reason) return { panes: [{ title: reason, image: nothing }], how: reason, bar: "" };
   const one = comparison(state)?.comparison;
   const image = await pictureOf(one?.picture_flip);
   const names = [state.a, state.b].map((place) => scene.renderers[place].name);
@@ -365,7 +404,6 @@ async function fromFlip() {
     panes: [{ title: `FLIP of ${names.join(" and ")}, ${told}`, image: image ?? black(scene.size) }],
     how: `what an eye sees that flips between the two 8-bit images, at 67 pixels a degree; black: nothing${image ? "" : ", anywhere"}`,
     bar: barOf([0, 0.25, 0.5, 0.75, 1].map((share) => [share, String(share)]), magma),
-    outlines: outlines(),
   };
 }
 
@@ -431,6 +469,7 @@ async function fetchOthers(mine, scene) {
   // Whoever runs through the scenes is not kept waiting by what they pass.
   await new Promise((resume) => setTimeout(resume, 150));
   if (state.scene !== scene) return;
+  await readAhead(scene, 1);
   have.margins = await margins(scene);
   const rest = [state.a, state.b, ...scene.renderers.keys()];
   for (const name of [state.pass, ...passesOf(scene)]) {
@@ -443,7 +482,8 @@ async function fetchOthers(mine, scene) {
   }
   if (state.scene === scene && mine) inspectSoon();
   inspector.dataset.complete = scene.key;
-  await readAhead(scene);
+  await readAhead(scene, 2);
+  inspector.dataset.ahead = scene.key;
 }
 
 let inspecting = 0;
@@ -572,6 +612,7 @@ function setMode(mode) {
 
 /** @param {number} step */
 function stepScene(step) {
+  direction = step;
   const scenes = filtered(state).map((entry) => entry.scene);
   const at = scenes.indexOf(state.scene);
   const next = scenes[at < 0 ? 0 : Math.max(0, Math.min(scenes.length - 1, at + step))];
