@@ -466,10 +466,10 @@ function colorBar(scale, both) {
  * @param {SceneEntry} scene
  */
 async function fetchOthers(mine, scene) {
-  // Whoever runs through the scenes is not kept waiting by what they pass.
-  await new Promise((resume) => setTimeout(resume, 150));
-  if (state.scene !== scene) return;
   await readAhead(scene, 1);
+  // Whoever runs through the scenes is not kept waiting by what they pass.
+  await new Promise((resume) => setTimeout(resume, 250));
+  if (state.scene !== scene) return;
   have.margins = await margins(scene);
   const rest = [state.a, state.b, ...scene.renderers.keys()];
   for (const name of [state.pass, ...passesOf(scene)]) {
