@@ -236,6 +236,26 @@ function verdicts(seen) {
   return text;
 }
 
+/**
+ * The values of A and B at a pixel, and its verdict, in one sentence.
+ * @param {State} state
+ * @param {[number, number]} pixel
+ * @param {(place: number) => Plane | null | undefined} plane of the pass that is shown
+ */
+export function spoken(state, pixel, plane) {
+  const { scene } = state;
+  const count = scene.size[0] * scene.size[1];
+  const at = pixel[1] * scene.size[0] + pixel[0];
+  const sides = [state.a, state.b].map((place, side) => {
+    const found = plane(place);
+    const numbers = found ? Array.from({ length: found.channels }, (_, c) => brief(found.values[c * count + at])) : ["no value"];
+    return `${"AB"[side]} ${scene.renderers[place].name} ${numbers.join(" ")}`;
+  });
+  const own = pairOf(scene, state.a, state.b)?.pair.verdicts.find((one) => one.x === pixel[0] && one.y === pixel[1]);
+  const said = own?.findings.map(({ renderer, right, cause, says }) => `${renderer} ${right ? "is right" : `${says}, ${run.causes[cause] ?? cause}`}`);
+  return `x ${pixel[0]}, y ${pixel[1]}, ${state.pass}: ${sides.join("; ")}${said ? `. ${said.join("; ")}` : ""}`;
+}
+
 /** @param {Seen} seen */
 function marginTable(seen) {
   const { scene } = seen.state;

@@ -137,8 +137,11 @@ export function fillList(state, list, count, choose) {
  * @param {HTMLElement} list
  */
 export function markScene(state, list) {
-  for (const button of list.querySelectorAll("button")) {
+  const buttons = [...list.querySelectorAll("button")];
+  const chosen = buttons.find((button) => button.dataset.scene === state.scene.key) ?? buttons[0];
+  for (const button of buttons) {
     const here = button.dataset.scene === state.scene.key;
+    button.tabIndex = button === chosen ? 0 : -1; // one stop on the way through the page: arrow keys go on from there
     if (here) button.setAttribute("aria-current", "true");
     else button.removeAttribute("aria-current");
     if (here) button.scrollIntoView({ block: "nearest" });

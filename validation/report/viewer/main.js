@@ -1,7 +1,7 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
 import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
 import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim } from "viewer/data.js";
-import { brief, causes, escaped, inspect } from "viewer/inspector.js";
+import { brief, causes, escaped, inspect, spoken } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
 import { outline, styles } from "viewer/outlines.js";
@@ -170,6 +170,7 @@ async function draw() {
   }
   stageElement.dataset.mode = mode;
   stage.show({
+    about: `${pass} of ${scene.label}`,
     size: scene.size,
     panes: made.panes,
     outlines: outlines(),
@@ -201,7 +202,8 @@ async function placeholder(mine) {
   const title = "reading …";
   const panes = (state.mode === "side" ? [0, 1] : [0]).map(() => ({ title, image }));
   const { pixel, zoom, centre, split } = state;
-  stage.show({ size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
+  const about = `${state.pass} of ${state.scene.label}`;
+  stage.show({ about, size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
 }
 
 /**
@@ -486,8 +488,21 @@ async function fetchOthers(mine, scene) {
   inspector.dataset.ahead = scene.key;
 }
 
+let speaking = 0;
+/** Says a pixel that is kept once it is still, for those who hear the page; what is under the pointer would never end. */
+function saySoon() {
+  clearTimeout(speaking);
+  speaking = window.setTimeout(() => {
+    const live = element("v-live");
+    const place = (/** @type {number} */ renderer) => have.planes.get(`${renderer} ${state.pass}`);
+    const text = state.pixel ? spoken(state, state.pixel, place) : "";
+    if (live.textContent !== text) live.textContent = text;
+  }, 300);
+}
+
 let inspecting = 0;
 function inspectSoon() {
+  saySoon();
   if (inspecting) return;
   inspecting = requestAnimationFrame(() => {
     inspecting = 0;
