@@ -148,6 +148,18 @@ export function markScene(state, list) {
   }
 }
 
+/**
+ * An error over its tolerance, as short as in the tables of the report in plain words.
+ * @param {number} ratio
+ */
+function short(ratio) {
+  if (ratio === 0) return "0";
+  if (ratio < 0.01) return "<.01";
+  if (ratio < 0.995) return ratio.toFixed(2).replace(/^0/, "");
+  if (ratio < 1.005 && ratio !== 1) return ratio < 1 ? "<1" : ">1"; // rounded, it would read as 1 on either side
+  return brief(ratio);
+}
+
 /** What other commands found, as the report in plain words has it. */
 function plots() {
   return document.getElementById("included")?.innerHTML ?? "";
@@ -163,7 +175,7 @@ export function matrix() {
         if (!one) return '<td class="none">–</td>';
         const state = { ...initial(), ...worst(scene), pass: name, a: pair.a, b: pair.b };
         state.pixel = one.worst ? [one.worst.x, one.worst.y] : null;
-        const ratio = one.ratio === null ? "–" : brief(number(one.ratio));
+        const ratio = one.ratio === null ? "–" : short(number(one.ratio));
         const sign = `<span aria-hidden="true">${one.ok ? "✓" : "✗"}</span><span class="sr">${one.ok ? "agrees" : "differs"}</span>`;
         return `<td class="${one.ok ? "ok" : "bad"}"><a href="${escaped(address(state))}" title="${escaped(`${name}: ${one.reason ?? "agrees"}`)}">${sign} ${ratio}</a></td>`;
       });

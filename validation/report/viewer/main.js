@@ -180,7 +180,8 @@ async function draw() {
     centre: state.centre,
     split: state.split,
   });
-  element("v-zoom").textContent = `${brief(stage.scale())}×`;
+  const scale = stage.scale();
+  element("v-zoom").textContent = `${scale < 1 ? Number(scale.toPrecision(2)) : brief(scale)}×`;
   inspectSoon();
   if (drawn !== `${scene.key} ${a} ${b}`) {
     drawn = `${scene.key} ${a} ${b}`;
@@ -469,6 +470,8 @@ function colorBar(scale, both) {
  */
 async function fetchOthers(mine, scene) {
   await readAhead(scene, 1);
+  for (const place of scene.renderers.keys()) if (state.scene === scene) await need(place, state.pass);
+  if (state.scene === scene) inspectSoon();
   // Whoever runs through the scenes is not kept waiting by what they pass.
   await new Promise((resume) => setTimeout(resume, 250));
   if (state.scene !== scene) return;
@@ -752,6 +755,19 @@ function route() {
   void draw();
 }
 
+/**
+ * Buttons that lead to what other commands found, where there is some.
+ * @param {HTMLElement} place
+ */
+function parts(place) {
+  return [...place.querySelectorAll("section.included")].map((section) => {
+    const button = Object.assign(document.createElement("button"), { type: "button" });
+    button.textContent = section.querySelector("h2")?.textContent ?? "";
+    button.addEventListener("click", () => section.scrollIntoView());
+    return button;
+  });
+}
+
 function begin() {
   if (!run.scenes.length) return;
   const every = [...new Set(run.scenes.flatMap(passesOf))];
@@ -782,7 +798,10 @@ function begin() {
   element("v-help-open").addEventListener("click", () => help.showModal());
   element("v-summary-open").addEventListener("click", () => {
     const place = element("v-matrix");
-    if (!place.firstChild) place.innerHTML = matrix();
+    if (!place.firstChild) {
+      place.innerHTML = matrix();
+      element("v-parts").append(...parts(place));
+    }
     summary.showModal();
   });
   const back = Object.assign(document.createElement("a"), { href: "#/", textContent: "Viewer" });
