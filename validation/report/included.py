@@ -132,7 +132,7 @@ def stability(record: Record) -> Included:
         command=shlex.join(record["command"]),
         made=made,
         versions=versions,
-        legend=[(shapes[name].svg(), name) for name in names],
+        legend=[(shapes[name].svg(line=True), name) for name in names],
         figures=figures,
     )
 

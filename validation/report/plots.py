@@ -49,13 +49,14 @@ class Look:
         """Attributes of a line."""
         return f'class="line{" dashed" * self.dashed}" style="--series:{self.color}"'
 
-    def svg(self, *, hollow: bool = False) -> Markup:
-        """For a legend."""
+    def svg(self, *, hollow: bool = False, line: bool = False) -> Markup:
+        """For a legend, with its line where it has one."""
         kind = ' class="hollow"' if hollow else ""
+        path_of_line = f'<path {self.line} d="M-13 0H13"/>' if line else ""
         path = f'<path{kind} d="{SHAPES[self.shape]}" transform="scale({RADIUS})"/>'
         return Markup(
-            f'<svg class="plot sign" viewBox="-13 -8 26 16" aria-hidden="true"><path {self.line} d="M-13 0H13"/>'
-            f'<g style="--series:{self.color}">{path}</g></svg>'
+            f'<svg class="plot sign" viewBox="-13 -8 26 16" aria-hidden="true">'
+            f'{path_of_line}<g style="--series:{self.color}">{path}</g></svg>'
         )
 
 

@@ -79,7 +79,7 @@ class PassView:
     @property
     def count(self) -> int:
         """Pictures that the page shows of it."""
-        return sum(shown is not None for shown in (self.a, self.b, self.heat))
+        return sum(shown is not None for shown in (self.a, self.b, self.heat, self.flip))
 
     def pictures(self) -> dict[str, Any]:
         """Where the viewer finds them: their id, or where they have none their address."""
