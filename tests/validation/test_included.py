@@ -81,7 +81,7 @@ def test_tables_say_the_same_as_the_plots(results: Path) -> None:
         for cell, name in zip(row[1:], ("native-f64", "native-f32"), strict=True):
             error = rung["steps"][name]["error"]
             assert cell.partition(",")[0] == ("claims nothing" if error is None else f"{error:.3g}")
-    assert any("claims nothing more: native-f32 at" in line for line in figure.sums)
+    assert any("claims nothing more: native-f32 from" in line for line in figure.sums)
     entries = json.loads((results / "speed.json").read_text())["scenes"][0]["entries"]
     rows = read(results / "speed.json").figures[0].table.rows
     assert [row[0] for row in rows] == [entry["name"] for entry in entries]

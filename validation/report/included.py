@@ -172,7 +172,7 @@ def _ladder(ladder: Record, names: Sequence[str], shapes: Mapping[str, Look]) ->
     breaks = {name: ladder["breaks"].get(name) for name in names}
     silent = {name: ladder["silent_from"].get(name) for name in names}
     sums = [f"{name} breaks at {rung}" for name, rung in breaks.items() if rung]
-    quiet = [f"{name} at {rung}" for name, rung in silent.items() if rung and not breaks[name]]
+    quiet = [f"{name} from {rung}" for name, rung in silent.items() if rung and not breaks[name]]
     if quiet:
         sums.append(f"claims nothing more: {', '.join(quiet)}")
     rest = [name for name in names if not breaks[name] and not silent[name]]
