@@ -103,8 +103,6 @@ def ladder(folder: Path) -> None:
     """The curves of one ladder."""
     command = ("whitted", "stability", "--ladder", LADDER, "--renderer", "native-f64,native-f32,mitsuba-path")
     run(*command, "--report", "curves", folder=folder)
-    drawn = (folder / "curves" / f"{LADDER}.svg").read_text(encoding="utf-8")
-    (FIGURES / "ladder.svg").write_text(smaller(drawn), encoding="utf-8")
 
 
 def smaller(svg: str) -> str:

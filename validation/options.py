@@ -283,6 +283,13 @@ def results_options(each: str, more: str = "") -> Callable[[Function], Function]
         small = click.option(
             "--small", is_flag=True, help="A report without the float values of pixels: it then has pictures alone."
         )
+        include = click.option(
+            "--include",
+            type=click.Path(path_type=Path, exists=True, dir_okay=False),
+            multiple=True,
+            metavar="FILE",
+            help="Show in the report what whitted stability --json FILE or whitted speed --json FILE wrote.",
+        )
         junit = click.option("--junit", type=FILE, metavar="FILE", help="Write the results as JUnit XML.")
         markdown = click.option(
             "--markdown",
@@ -290,6 +297,6 @@ def results_options(each: str, more: str = "") -> Callable[[Function], Function]
             metavar="FILE",
             help='Write a summary in Markdown; for the page of a job on GitHub: "$GITHUB_STEP_SUMMARY".',
         )
-        return report(open_option(small(json_option(junit(markdown(judged(function)))))))
+        return report(open_option(small(include(json_option(junit(markdown(judged(function))))))))
 
     return decorate

@@ -344,40 +344,140 @@ def test_the_report_in_plain_words_is_one_click_away_and_back(page: Any) -> None
     settled(page, mode="heat")
 
 
-def test_text_of_the_viewer_has_contrast_and_controls_have_names(page: Any) -> None:
-    whole(page)
-    poor = page.evaluate(
-        """() => {
-        const parse = text => text.match(/[\\d.]+/g).map(Number);
-        const light = ([r, g, b]) => {
-            const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
-            const [x, y, z] = [r, g, b].map(v => linear(v / 255));
-            return 0.2126 * x + 0.7152 * y + 0.0722 * z;
-        };
-        const ground = element => {
-            for (let at = element; at; at = at.parentElement) {
-                const color = parse(getComputedStyle(at).backgroundColor);
-                if (color.length === 3 || color[3] > 0) return color;
-            }
-            return [255, 255, 255];
-        };
-        const poor = [];
-        for (const element of document.querySelectorAll("#viewer *")) {
-            if (!element.innerText?.trim() || !element.checkVisibility() || element.disabled) continue;
-            const both = [parse(getComputedStyle(element).color), ground(element)];
-            const [a, b] = both.map(light).sort((x, y) => y - x);
-            if ((a + 0.05) / (b + 0.05) < 4.5) poor.push(element.tagName + "." + element.className);
+#: Elements below SELECTOR whose text has less contrast to its ground than WCAG asks for, 4.5 to 1.
+POOR = """selector => {
+    const parse = text => text.match(/[\\d.]+/g).map(Number);
+    const light = ([r, g, b]) => {
+        const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+        const [x, y, z] = [r, g, b].map(v => linear(v / 255));
+        return 0.2126 * x + 0.7152 * y + 0.0722 * z;
+    };
+    const ground = element => {
+        for (let at = element; at; at = at.parentElement) {
+            const color = parse(getComputedStyle(at).backgroundColor);
+            if (color.length === 3 || color[3] > 0) return color;
         }
-        return [...new Set(poor)];
-    }"""
-    )
-    assert poor == []
+        return [255, 255, 255];
+    };
+    const poor = [];
+    let seen = 0;
+    for (const element of document.querySelectorAll(selector)) {
+        const drawn = element instanceof SVGTextElement;
+        const text = drawn ? element.textContent : element.innerText;
+        if (!text?.trim() || !element.checkVisibility() || element.disabled) continue;
+        if (element instanceof SVGElement && !drawn) continue;
+        const both = [parse(getComputedStyle(element)[drawn ? "fill" : "color"]), ground(element)];
+        const [a, b] = both.map(light).sort((x, y) => y - x);
+        seen += 1;
+        if ((a + 0.05) / (b + 0.05) < 4.5) poor.push(`${element.tagName}.${element.className} ${text.slice(0, 20)}`);
+    }
+    return [seen, [...new Set(poor)]];
+}"""
+
+
+def test_text_of_the_viewer_has_contrast_in_every_mode_and_controls_have_names(page: Any) -> None:
+    whole(page)
+    for key in MODES:
+        page.keyboard.press(key)
+        settled(page, mode=MODES[key])
+        seen, poor = page.evaluate(POOR, "#viewer *")
+        assert poor == []
+        assert seen > 100
+    for opener in ("#v-summary-open", "#v-help-open"):
+        page.locator(opener).click()
+        page.evaluate("document.querySelectorAll('dialog details').forEach(details => details.open = true)")
+        seen, poor = page.evaluate(POOR, "dialog[open] *")
+        assert poor == []
+        assert seen > 20
+        page.keyboard.press("Escape")
+    page.keyboard.press("Escape")
+    settled(page, at="")
+    assert page.evaluate(POOR, "#viewer *")[1] == []
     nameless = page.evaluate(
-        """() => [...document.querySelectorAll("#viewer button, #viewer select, #viewer input")].filter(element =>
-            ![element.getAttribute("aria-label"), element.textContent, element.labels?.[0]?.textContent].join("").trim()
+        """() => [...document.querySelectorAll("#viewer button, #viewer select, #viewer input, #viewer canvas")].filter(
+            element => ![element.getAttribute("aria-label"), element.textContent, element.labels?.[0]?.textContent]
+                .join("").trim()
         ).map(element => element.id)"""
     )
     assert nameless == []
+    assert page.locator("#viewer img:not([alt])").count() == 0
+
+
+def test_tab_goes_through_list_tools_picture_and_inspector_and_shows_where_it_is(page: Any) -> None:
+    whole(page)
+    page.evaluate("document.activeElement.blur()")
+    places = []
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        place, outline = page.evaluate(
+            """() => {
+                const at = document.activeElement;
+                const within = ["#viewer > header", "#v-scenes", ".filters", ".pairs", "#v-modes", "#v-stage", ".low",
+                    ".inspector"];
+                const { outlineStyle, outlineWidth } = getComputedStyle(at);
+                const place = within.find(selector => at.closest(selector)) ?? at.className;
+                return [place, `${outlineStyle} ${outlineWidth}`];
+            }"""
+        )
+        if places and place == "skip":
+            break
+        if place:
+            assert outline not in ("none 0px", "none 3px"), place
+            places.append(place)
+    order = list(dict.fromkeys(places))
+    assert order[:8] == ["skip", "#viewer > header", ".filters", "#v-scenes", ".pairs", "#v-modes", "#v-stage", ".low"]
+    assert order[8] == ".inspector"
+    assert places.count("#v-scenes") == 1, "arrow keys go through the scenes"
+
+
+def test_a_dialog_gives_the_focus_back_and_a_kept_pixel_is_said(page: Any) -> None:
+    whole(page)
+    for opener in ("#v-summary-open", "#v-help-open"):
+        page.locator(opener).focus()
+        page.keyboard.press("Enter")
+        assert page.evaluate("document.activeElement.closest('dialog[open]') !== null")
+        page.keyboard.press("Escape")
+        assert page.evaluate("'#' + document.activeElement.id") == opener
+    page.wait_for_function("document.getElementById('v-live').textContent.startsWith('x 30, y 20')")
+    said = page.locator("#v-live").inner_text()
+    assert "beauty: A double 0.9 0.1 2.5; B numpy-f64" in said
+    assert "double is off in beauty" in said
+    assert "numpy-f64 is right" in said
+    assert page.locator("#v-live").get_attribute("role") == "status"
+    label = page.locator(".stage canvas").first.get_attribute("aria-label")
+    assert label == "beauty of scenes/full.txt: A  double"
+    assert page.evaluate("document.getAnimations().length") == 0
+
+
+def test_without_a_map_of_flip_its_mode_is_grey_and_says_why(page: Any) -> None:
+    button = page.locator('#v-modes [data-mode="flipmap"]')
+    assert button.get_attribute("aria-disabled") == "true"
+    assert "--flip" in button.get_attribute("title")
+    page.keyboard.press("m")
+    assert "whitted validate --flip" in page.locator("#v-how").inner_text()
+    assert "mode=side" in page.locator("#v-stage").get_attribute("data-ready")
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_the_map_of_flip_is_a_mode(browser: Any, tmp_path: Path, *, small: bool) -> None:
+    pytest.importorskip("flip_evaluator")
+    report = Report(small=small)
+    double = Double(draw=with_arrays(dented))
+    result = validate({"full.txt": doubles.full()}, [double], "numpy-f64", on_rendered=report.add, flip=True)
+    result.command = ["whitted", "validate", "full.txt"]
+    flip = next(one.flip for one in result.comparisons if one.flip)
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    page.keyboard.press("m")
+    settled(page, mode="flipmap")
+    assert page.locator('#v-modes [data-mode="flipmap"]').get_attribute("aria-pressed") == "true"
+    assert f"up to {flip.max:.3g}" in page.locator(".stage figcaption").inner_text()
+    assert colors(page) > 5
+    assert page.locator("#v-bar .ticks span").count() == 5
+    page.locator("#v-pass").select_option("depth")
+    settled(page, mode="flipmap", **{"pass": "depth"})
+    assert "FLIP is of beauty alone" in page.locator("#v-how").inner_text()
+    assert page.complaints == []
+    page.close()
 
 
 def test_nothing_is_wider_than_the_window(page: Any) -> None:

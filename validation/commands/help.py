@@ -16,6 +16,7 @@ GROUPS = {
         "report",
         "open_report",
         "small",
+        "include",
         "write",
         "json_file",
         "as_json",

@@ -9,7 +9,7 @@ import shlex
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,16 +67,21 @@ def folder(path: Path, option: str = "--report") -> Iterator[None]:
                 folder.rmdir()
 
 
-def page_in(ctx: click.Context, report: Path, *, small: bool = False) -> Report:
-    """A report that can be written into that folder."""
+def page_in(ctx: click.Context, report: Path, *, small: bool = False, include: Sequence[Path] = ()) -> Report:
+    """A report that can be written into that folder; `include`: results of other commands for it."""
+    from validation.report.included import MAKES, IncludeError, read
     from validation.report.report import Report, ours
 
+    try:
+        included = [read(path) for path in include]
+    except IncludeError as error:
+        raise CommandError(f"--include: {error}", MAKES) from error
     ctx.with_resource(folder(report))
     place = report / "index.html"
     writable(place)
     if not ours(place):
         raise CommandError(f"{place} is no report of whitted", "name another folder, or remove that file")
-    return Report(small=small)
+    return Report(small=small, included=included)
 
 
 def command_line() -> list[str]:
@@ -135,6 +140,12 @@ def check_open(report: Path | None, *, wanted: bool) -> None:
     """Whether there is something to open."""
     if wanted and not report:
         raise CommandError("--open opens a report, and there is none", "--report DIR --open")
+
+
+def check_included(report: Path | None, include: Sequence[Path]) -> None:
+    """Whether there is a report for them."""
+    if include and not report:
+        raise CommandError("--include is about a report, and there is none", "--report DIR --include FILE")
 
 
 def write_text(path: Path, text: str) -> None:

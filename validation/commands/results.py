@@ -13,9 +13,10 @@ import click
 
 from validation import records
 from validation.commands.errors import kept, nothing_kept
-from validation.commands.outputs import check_open, open_page, page_in, writable, write_text
+from validation.commands.outputs import check_included, check_open, open_page, page_in, writable, write_text
 
 if TYPE_CHECKING:
+    from validation.report.report import Report
     from validation.run import Validation
 
 #: Between scenes no more than this share of the time goes into writing files that are written again.
@@ -28,6 +29,7 @@ class Outputs:
 
     report: Path | None
     small: bool
+    include: tuple[Path, ...]
     open_report: bool
     json_file: Path | None
     junit: Path | None
@@ -50,10 +52,13 @@ class Results:
     def __init__(self, ctx: click.Context, command: Sequence[str], outputs: Outputs) -> None:
         """See first whether they can be written."""
         check_open(outputs.report, wanted=outputs.open_report)
+        check_included(outputs.report, outputs.include)
         for file in outputs.files:
             writable(file)
         self._command, self._outputs = command, outputs
-        self.page = page_in(ctx, outputs.report, small=outputs.small) if outputs.report else None
+        self.page: Report | None = None
+        if outputs.report:
+            self.page = page_in(ctx, outputs.report, small=outputs.small, include=outputs.include)
         self.kept: Validation | None = None
         self._record: Callable[[], Mapping[str, Any]] | None = None
         self._written, self._took = -float("inf"), 0.0

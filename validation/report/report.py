@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from tracer.passes import Passes
     from validation.compare import Comparison, Maps
+    from validation.report.included import Included
     from validation.report.verdicts import Line, Row
     from validation.run import Note, Rendered, Validation
     from validation.verdict import Verdicts
@@ -83,12 +84,17 @@ class PassView:
     @property
     def count(self) -> int:
         """Pictures that the page shows of it."""
-        return sum(shown is not None for shown in (self.a, self.b, self.heat))
+        return sum(shown is not None for shown in (self.a, self.b, self.heat, self.flip))
 
     def pictures(self) -> dict[str, Any]:
         """Where the viewer finds them: their id, or where they have none their address."""
         found: dict[str, Any] = {}
-        for name, shown in (("a", self.a), ("b", self.a if self.shared else self.b), ("heat", self.heat)):
+        for name, shown in (
+            ("a", self.a),
+            ("b", self.a if self.shared else self.b),
+            ("heat", self.heat),
+            ("flip", self.flip),
+        ):
             if shown:
                 found[f"picture_{name}"] = shown.key or shown.uri
                 found["how"] = self.a.picture.how if self.a else ""
@@ -191,8 +197,12 @@ def ours(path: Path) -> bool:
 class Report:
     """Collects pictures while scenes are compared, so that no arrays need to be kept, and writes the page."""
 
-    def __init__(self, *, small: bool = False) -> None:
-        """Empty; `small`: without the float data, so that every pass has its pictures instead."""
+    def __init__(self, *, small: bool = False, included: Sequence[Included] = ()) -> None:
+        """Empty; `small`: without the float data, so that every pass has its pictures instead.
+
+        `included`: results of other commands that the page shows, too.
+        """
+        self._included = included
         self._scenes: list[SceneView] = []
         self._stored: dict[str, str] = {}
         self._data = Data(small=small)
@@ -313,6 +323,7 @@ class Report:
             rows_shown=ROWS,
             causes=CAUSES,
             shapes=SHAPES,
+            included=self._included,
             command=shlex.join(result.command),
             made=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         )

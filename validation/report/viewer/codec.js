@@ -79,7 +79,7 @@ export function swapOrder(bits) {
  * @returns {Float64Array}
  */
 export function sum(parts) {
-  const total = Float64Array.from(parts[0]);
+  const total = new Float64Array(parts[0]);
   for (const part of parts.slice(1)) for (let i = 0; i < total.length; i++) total[i] += part[i];
   return total;
 }
@@ -93,7 +93,7 @@ export function sum(parts) {
  * @returns {Float64Array}
  */
 export function addRest(base, rest, bytes, sums) {
-  const values = Float64Array.from(base);
+  const values = new Float64Array(base);
   const words = new Uint32Array(values.buffer); // little-endian, as every browser is
   for (let i = 0; i < rest.length; i++) {
     const step = rest[i];
@@ -120,7 +120,7 @@ export function addRest(base, rest, bytes, sums) {
  * @returns {Int32Array}
  */
 export function restOf(values, base) {
-  const near = Float64Array.from(base);
+  const near = new Float64Array(base);
   const [a, b] = [new Uint32Array(values.buffer, values.byteOffset), new Uint32Array(near.buffer)];
   const rest = new Int32Array(base.length);
   for (let i = 0; i < rest.length; i++) {
@@ -136,7 +136,7 @@ export function restOf(values, base) {
  * @param {Float64Array} values
  */
 export function orderOf(values) {
-  return swapOrder(new Int32Array(Float32Array.from(values).buffer));
+  return swapOrder(new Int32Array(new Float32Array(values).buffer));
 }
 
 /**

@@ -9,6 +9,12 @@ const INFERNO = [
   [221, 81, 58], [243, 120, 25], [252, 165, 10], [246, 215, 70], [252, 255, 164],
 ];
 
+/** That of FLIP, as its authors show it. */
+const MAGMA = [
+  [0, 0, 4], [24, 15, 61], [68, 15, 118], [114, 31, 129], [158, 47, 127],
+  [205, 64, 113], [241, 96, 93], [253, 150, 104], [254, 202, 141], [252, 253, 191],
+];
+
 /** The first ten colours of matplotlib, of spheres. */
 const SPHERES = [
   [31, 119, 180], [255, 127, 14], [44, 160, 44], [214, 39, 40], [148, 103, 189],
@@ -24,9 +30,26 @@ export const DECADES = 6;
  * @returns {number[]}
  */
 export function inferno(share) {
-  const place = Math.max(0, Math.min(1, share)) * (INFERNO.length - 1);
-  const at = Math.min(INFERNO.length - 2, Math.floor(place));
-  return INFERNO[at].map((value, channel) => value + (place - at) * (INFERNO[at + 1][channel] - value));
+  return between(INFERNO, share);
+}
+
+/**
+ * A colour of the scale of FLIP.
+ * @param {number} share from 0 to 1
+ * @returns {number[]}
+ */
+export function magma(share) {
+  return between(MAGMA, share);
+}
+
+/**
+ * @param {number[][]} colors at equal distances
+ * @param {number} share
+ */
+function between(colors, share) {
+  const place = Math.max(0, Math.min(1, share)) * (colors.length - 1);
+  const at = Math.min(colors.length - 2, Math.floor(place));
+  return colors[at].map((value, channel) => value + (place - at) * (colors[at + 1][channel] - value));
 }
 
 /**

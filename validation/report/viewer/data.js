@@ -4,8 +4,8 @@ import { addOther, addPlanar, addRest, inflate, normals, orderOf, points, restOf
 /** @type {Run} */
 export const run = JSON.parse(/** @type {HTMLElement} */ (document.getElementById("record")).textContent ?? "");
 
-/** Scenes whose arrays are kept. */
-const KEPT = 4;
+/** Scenes whose arrays are kept: what is looked at, two before and two after it, and some that were. */
+const KEPT = 8;
 
 /**
  * A number of the JSON.
@@ -56,7 +56,7 @@ export function pairOf(scene, a, b) {
   return null;
 }
 
-/** @typedef {{ base: Float32Array, order: Int32Array, plane: Plane }} Decoded */
+/** @typedef {{ base: Float32Array, plane: Plane }} Decoded */
 
 /**
  * Arrays of the scenes looked at last, by scene and then by block.
@@ -107,7 +107,7 @@ function decoded(scene, place, name) {
     const needs = stored.based || stored.prediction === "first";
     const first = needs ? await decoded(scene, 0, name) : null;
     if (stored.prediction === "planar") addPlanar(order, stored.channels, columns, rows);
-    else if (stored.prediction === "first" && first) addOther(order, first.order);
+    else if (stored.prediction === "first" && first) addOther(order, swapOrder(new Int32Array(first.base.buffer)));
     else if (stored.prediction === "sum") addOther(order, orderOf(sum(parts.map((part) => part.base))));
     else {
       const guides = await Promise.all(stored.guides.map((guide) => decoded(scene, place, guide)));
@@ -116,14 +116,14 @@ function decoded(scene, place, name) {
       addOther(order, orderOf(ray ? points(scene.rays, one, columns, rows) : normals(scene.surfaces, one, other)));
     }
     const base = new Float32Array(swapOrder(order).buffer);
-    if (!stored.rest) return { base, order, plane: { values: base, channels: stored.channels, exact: !stored.wide } };
+    if (!stored.rest) return { base, plane: { values: base, channels: stored.channels, exact: !stored.wide } };
     const behind = await block(`x${scene.key}-${place}-${name}`);
     const rest = unpack(behind, count);
     const above = stored.based && first ? first.plane.values : null;
     if (first && above instanceof Float64Array) addOther(rest, restOf(above, first.base));
     const sums = parts.length && !stored.based ? sum(parts.map((part) => part.plane.values)) : null;
     const values = addRest(base, rest, behind, sums);
-    return { base, order, plane: { values, channels: stored.channels, exact: scene.whole } };
+    return { base, plane: { values, channels: stored.channels, exact: scene.whole } };
   });
 }
 
@@ -137,6 +137,17 @@ function decoded(scene, place, name) {
 export async function plane(scene, place, name) {
   if (!scene.floats || !scene.renderers[place]?.passes[name]) return null;
   return (await decoded(scene, place, name)).plane;
+}
+
+/**
+ * Lets go of all that is kept of a scene but some planes, as a scene with all of its passes takes some 100 MB.
+ * @param {SceneEntry} scene
+ * @param {[number, string][]} wanted places of renderers, and passes
+ */
+export function trim(scene, wanted) {
+  const names = new Set(wanted.map(([place, name]) => `${place}-${name}`));
+  const blocks = kept.get(scene.key);
+  for (const key of blocks?.keys() ?? []) if (/^\d/.test(key) && !names.has(key)) blocks?.delete(key);
 }
 
 /**

@@ -1,6 +1,7 @@
 // One pixel: every value of every renderer, the differences, margins, what is proved, and the command that repeats it.
 import { number, pairOf, rowOf, run } from "viewer/data.js";
 import { markSvg, who } from "viewer/marks.js";
+import { address } from "viewer/state.js";
 
 /** @typedef {import("viewer/state.js").State} State */
 
@@ -210,6 +211,19 @@ export function causes(pair) {
   return lines.length ? `<section class="verdict${order[0].finding.explained ? "" : " alarm"}"><h3>The pixels that were judged</h3>${lines.join("")}</section>` : "";
 }
 
+/**
+ * The way to the judged pixel that is nearest.
+ * @param {State} state
+ * @param {Pair} pair
+ * @param {[number, number]} pixel
+ */
+function nearest(state, pair, pixel) {
+  const away = (/** @type {Verdict} */ one) => Math.hypot(one.x - pixel[0], one.y - pixel[1]);
+  const best = pair.verdicts.reduce((found, one) => (away(one) < away(found) ? one : found));
+  const link = address({ ...state, pixel: [best.x, best.y], centre: [best.x + 0.5, best.y + 0.5] });
+  return `The nearest of these: <a href="${escaped(link)}">x ${best.x}, y ${best.y}</a>.`;
+}
+
 /** @param {Seen} seen */
 function verdicts(seen) {
   const { state, pixel } = seen;
@@ -222,7 +236,7 @@ function verdicts(seen) {
     const said = own.findings.map((finding, side) => sentence(finding, letters[side])).join("");
     text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
   } else if (found && seen.flag & 2) {
-    const why = found.pair.verdicts.length ? "not among the pixels judged in this run: the command below judges it" : "no pixel was judged";
+    const why = found.pair.verdicts.length ? `not among the pixels judged in this run. ${nearest(state, found.pair, pixel)} The command below judges this one` : "no pixel was judged";
     text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(found.pair)}`;
   }
   const others = scene.pairs.filter((pair) => pair !== found?.pair);
@@ -234,6 +248,26 @@ function verdicts(seen) {
     text += `<details><summary>Verdict on ${escaped(names)}</summary>${said}</details>`;
   }
   return text;
+}
+
+/**
+ * The values of A and B at a pixel, and its verdict, in one sentence.
+ * @param {State} state
+ * @param {[number, number]} pixel
+ * @param {(place: number) => Plane | null | undefined} plane of the pass that is shown
+ */
+export function spoken(state, pixel, plane) {
+  const { scene } = state;
+  const count = scene.size[0] * scene.size[1];
+  const at = pixel[1] * scene.size[0] + pixel[0];
+  const sides = [state.a, state.b].map((place, side) => {
+    const found = plane(place);
+    const numbers = found ? Array.from({ length: found.channels }, (_, c) => brief(found.values[c * count + at])) : ["no value"];
+    return `${"AB"[side]} ${scene.renderers[place].name} ${numbers.join(" ")}`;
+  });
+  const own = pairOf(scene, state.a, state.b)?.pair.verdicts.find((one) => one.x === pixel[0] && one.y === pixel[1]);
+  const said = own?.findings.map(({ renderer, right, cause, says }) => `${renderer} ${right ? "is right" : `${says}, ${run.causes[cause] ?? cause}`}`);
+  return `x ${pixel[0]}, y ${pixel[1]}, ${state.pass}: ${sides.join("; ")}${said ? `. ${said.join("; ")}` : ""}`;
 }
 
 /** @param {Seen} seen */

@@ -125,7 +125,7 @@ export function fillList(state, list, count, choose) {
       button.dataset.scene = scene.key;
       const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
       const name = scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
-      button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name)}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
+      button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name).replace(/[/-]/g, "$&<wbr>")}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
       button.addEventListener("click", () => choose(scene));
       item.append(button);
       return item;
@@ -139,12 +139,32 @@ export function fillList(state, list, count, choose) {
  * @param {HTMLElement} list
  */
 export function markScene(state, list) {
-  for (const button of list.querySelectorAll("button")) {
+  const buttons = [...list.querySelectorAll("button")];
+  const chosen = buttons.find((button) => button.dataset.scene === state.scene.key) ?? buttons[0];
+  for (const button of buttons) {
     const here = button.dataset.scene === state.scene.key;
+    button.tabIndex = button === chosen ? 0 : -1; // one stop on the way through the page: arrow keys go on from there
     if (here) button.setAttribute("aria-current", "true");
     else button.removeAttribute("aria-current");
     if (here) button.scrollIntoView({ block: "nearest" });
   }
+}
+
+/**
+ * An error over its tolerance, as short as in the tables of the report in plain words.
+ * @param {number} ratio
+ */
+function short(ratio) {
+  if (ratio === 0) return "0";
+  if (ratio < 0.01) return "<.01";
+  if (ratio < 0.995) return ratio.toFixed(2).replace(/^0/, "");
+  if (ratio < 1.005 && ratio !== 1) return ratio < 1 ? "<1" : ">1"; // rounded, it would read as 1 on either side
+  return brief(ratio);
+}
+
+/** What other commands found, as the report in plain words has it. */
+function plots() {
+  return document.getElementById("included")?.innerHTML ?? "";
 }
 
 /** Scenes and pairs by passes; every cell leads to its comparison. */
@@ -157,7 +177,7 @@ export function matrix() {
         if (!one) return '<td class="none">–</td>';
         const state = { ...initial(), ...worst(scene), pass: name, a: pair.a, b: pair.b };
         state.pixel = one.worst ? [one.worst.x, one.worst.y] : null;
-        const ratio = one.ratio === null ? "–" : brief(number(one.ratio));
+        const ratio = one.ratio === null ? "–" : short(number(one.ratio));
         const sign = `<span aria-hidden="true">${one.ok ? "✓" : "✗"}</span><span class="sr">${one.ok ? "agrees" : "differs"}</span>`;
         return `<td class="${one.ok ? "ok" : "bad"}"><a href="${escaped(address(state))}" title="${escaped(`${name}: ${one.reason ?? "agrees"}`)}">${sign} ${ratio}</a></td>`;
       });
@@ -168,5 +188,5 @@ export function matrix() {
   );
   const heads = every.map((name) => `<th scope="col">${escaped(name).replace(/\./g, ".<wbr>")}</th>`).join("");
   const versions = Object.entries(run.versions).map(([name, value]) => `<tr><th scope="row">${escaped(name)}</th><td>${escaped(value)}</td></tr>`);
-  return `<p class="soft">Error of the worst interior pixel over its tolerance; up to 1 the two agree. Every cell leads to its comparison.</p><div class="wide" tabindex="0" role="region" aria-label="all comparisons"><table class="summary"><thead><tr><th scope="col">scene</th><th scope="col">renderers</th>${heads}</tr></thead><tbody>${rows.join("")}</tbody></table></div><h3>Repeat it with</h3><p><code class="command">${escaped(run.command)}</code></p><details><summary>Versions</summary><table class="plain">${versions.join("")}</table></details>`;
+  return `<p class="soft">Error of the worst interior pixel over its tolerance; up to 1 the two agree. Every cell leads to its comparison.</p><div class="wide" tabindex="0" role="region" aria-label="all comparisons"><table class="summary"><thead><tr><th scope="col">scene</th><th scope="col">renderers</th>${heads}</tr></thead><tbody>${rows.join("")}</tbody></table></div><h3>Repeat it with</h3><p><code class="command">${escaped(run.command)}</code></p><details><summary>Versions</summary><table class="plain">${versions.join("")}</table></details>${plots()}`;
 }

@@ -1,7 +1,7 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
-import { brightened, decades, differences, logarithmic, inferno, picture, range, signed } from "viewer/colors.js";
-import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run } from "viewer/data.js";
-import { brief, causes, escaped, inspect } from "viewer/inspector.js";
+import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
+import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim } from "viewer/data.js";
+import { brief, causes, escaped, inspect, spoken } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
 import { outline, styles } from "viewer/outlines.js";
@@ -50,6 +50,8 @@ let hovered = null;
 let turn = 0;
 /** What is on the screen, for what need not be made again. */
 let drawn = "";
+/** Which way the list was walked last. */
+let direction = 1;
 
 /** @type {{ planes: Map<string, Plane | null>, margins: Float32Array | null, flags: Uint8Array | null, scene: SceneEntry | null }} */
 const have = { planes: new Map(), margins: null, flags: null, scene: null };
@@ -142,43 +144,44 @@ async function pictureOf(key) {
 }
 
 /** What is drawn of the pictures of one comparison; made again only when one of these changes. */
-/** @type {{ key: string, panes: Pane[], how: string, bar: string, outlines: Outline[] }} */
-let made = { key: "", panes: [], how: "", bar: "", outlines: [] };
+/** @type {{ key: string, panes: Pane[], how: string, bar: string }} */
+let made = { key: "", panes: [], how: "", bar: "" };
 
 async function draw() {
   const mine = ++turn;
   controls();
   const { scene, pass, a, b, mode } = state;
   if (have.scene !== scene) {
+    if (have.scene) trim(have.scene, wantedOf(landing(have.scene)));
     have.planes.clear();
     have.margins = null;
     have.scene = scene;
     await placeholder(mine);
   }
   const now = comparison(state);
-  const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.edges, state.flipped && mode === "flip"].join(" ");
+  const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.flipped && mode === "flip"].join(" ");
   if (made.key !== key) {
     have.flags = await flagsOf(scene, now?.comparison);
-    const fresh = scene.floats ? await fromFloats(mine) : await fromPictures();
+    const fresh = mode === "flipmap" ? await fromFlip() : scene.floats ? await fromFloats(mine) : await fromPictures();
     if (mine !== turn || !fresh) return;
     made = { key, ...fresh };
     element("v-how").textContent = made.how;
-    const bar = element("v-bar");
-    bar.innerHTML = made.bar;
-    bar.hidden = !made.bar;
+    element("v-bar").innerHTML = made.bar;
   }
   stageElement.dataset.mode = mode;
   stage.show({
+    about: `${pass} of ${scene.label}`,
     size: scene.size,
     panes: made.panes,
-    outlines: made.outlines,
+    outlines: outlines(),
     verdicts: mode === "verdict" ? (now?.pair.verdicts ?? []) : [],
     pixel: state.pixel,
     zoom: state.zoom,
     centre: state.centre,
     split: state.split,
   });
-  element("v-zoom").textContent = `${brief(stage.scale())}×`;
+  const scale = stage.scale();
+  element("v-zoom").textContent = `${scale < 1 ? Number(scale.toPrecision(2)) : brief(scale)}×`;
   inspectSoon();
   if (drawn !== `${scene.key} ${a} ${b}`) {
     drawn = `${scene.key} ${a} ${b}`;
@@ -200,23 +203,38 @@ async function placeholder(mine) {
   const title = "reading …";
   const panes = (state.mode === "side" ? [0, 1] : [0]).map(() => ({ title, image }));
   const { pixel, zoom, centre, split } = state;
-  stage.show({ size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
+  const about = `${state.pass} of ${state.scene.label}`;
+  stage.show({ about, size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
 }
 
 /**
- * The values that the neighbours in the list would show, read before they are asked for.
+ * The values that neighbours in the list would show, read before they are asked for.
  * @param {SceneEntry} scene
+ * @param {number} distance
  */
-async function readAhead(scene) {
+async function readAhead(scene, distance) {
   const scenes = filtered(state).map((entry) => entry.scene);
   const at = scenes.indexOf(scene);
-  for (const next of [scenes[at + 1], scenes[at - 1]]) {
-    if (!next || state.scene !== scene) continue;
-    const { pass, a, b } = landing(next);
-    for (const [place, name] of /** @type {[number, string][]} */ ([[a, pass], [b, pass], [a, "id"], [b, "id"]])) {
-      if (state.scene === scene) await plane(next, place, name);
+  for (const next of [scenes[at + distance * direction], scenes[at - distance * direction]]) {
+    if (!next) continue;
+    const shown = landing(next);
+    const wanted = wantedOf(shown);
+    await flagsOf(next, comparison({ ...state, ...shown })?.comparison);
+    for (const [place, name] of wanted) {
+      if (state.scene !== scene) return;
+      await plane(next, place, name);
     }
+    if (state.scene === scene) trim(next, wanted);
   }
+}
+
+/**
+ * The planes that a picture of a scene is made of.
+ * @param {Pick<State, "pass" | "a" | "b">} shown
+ * @returns {[number, string][]}
+ */
+function wantedOf({ pass, a, b }) {
+  return [[a, pass], [b, pass], [a, "id"], [b, "id"]];
 }
 
 /**
@@ -230,15 +248,39 @@ async function need(place, name) {
   return found;
 }
 
-/** Outlines of the kinds that there are. */
+/** @type {{ flags: Uint8Array | null, found: Outline[] }} */
+let outlined = { flags: null, found: [] };
+/** Outlines of the kinds that there are; found once, as long as the map is the same. */
 function outlines() {
   if (!state.edges || !have.flags) return [];
-  const [all, size] = [have.flags, state.scene.size];
+  if (outlined.flags !== have.flags) outlined = { flags: have.flags, found: trace(have.flags, state.scene.size) };
+  return outlined.found;
+}
+
+/**
+ * @param {Uint8Array} all
+ * @param {[number, number]} size
+ */
+function trace(all, size) {
   const known = Object.values(run.kinds).reduce((sum, bit) => sum | bit, 0);
   return KINDS.flatMap((kind) => {
     const path = outline(all, kind.bit, size, kind.bit === 4 ? known : 0);
     return path ? [{ kind, path }] : [];
   });
+}
+
+/** @type {{ planes: Plane[], limits: ReturnType<typeof range> | null }} */
+let measured = { planes: [], limits: null };
+/**
+ * The range of two planes, once.
+ * @param {Plane[]} planes
+ * @param {(Plane | null)[]} ids
+ */
+function limitsOf(planes, ids) {
+  const same = measured.planes.length === planes.length && planes.every((one, i) => one === measured.planes[i]);
+  const limits = (same && measured.limits) || range(planes, ids);
+  measured = { planes, limits };
+  return limits;
 }
 
 /** @param {number} mine */
@@ -252,8 +294,8 @@ async function fromFloats(mine) {
   const planes = /** @type {[Plane | null, Plane | null]} */ ([first, second]);
   const lacking = planes.map((one, side) => (one ? "" : `${names[side]} has no ${pass}`)).filter(Boolean).join("; ");
   const there = /** @type {Plane[]} */ (planes.filter(Boolean));
-  if (!there.length) return { panes: [], how: lacking, bar: "", outlines: [] };
-  const limits = range(there, planes.flatMap((one, side) => (one ? [[idsA, idsB][side]] : [])));
+  if (!there.length) return { panes: [], how: lacking, bar: "" };
+  const limits = limitsOf(there, planes.flatMap((one, side) => (one ? [[idsA, idsB][side]] : [])));
   const auto = brightened(row, limits);
   const paint = (/** @type {number} */ side) => {
     const one = planes[side];
@@ -261,8 +303,7 @@ async function fromFloats(mine) {
     return canvas(picture(row, one, [idsA, idsB][side], limits, scene.size, state.exposure + auto, state.clip));
   };
   const shown = how(row, limits, auto) + (lacking ? `; ${lacking}` : "");
-  const drawnOutlines = outlines();
-  const whole = { how: shown, bar: "", outlines: drawnOutlines };
+  const whole = { how: shown, bar: "" };
   if (mode === "side") return { ...whole, panes: [0, 1].map((side) => ({ title: title(side), image: paint(side) })) };
   if (mode === "slider") {
     return { ...whole, panes: [{ title: `${title(0)}  |  ${title(1)}`, image: paint(0), right: paint(1) }] };
@@ -271,7 +312,7 @@ async function fromFloats(mine) {
     const side = state.flipped ? 1 : 0;
     return { ...whole, how: `${shown}; f shows the other`, panes: [{ title: title(side), image: paint(side) }] };
   }
-  if (mode === "verdict") return { ...whole, ...verdictPane(paint(0)), outlines: drawnOutlines };
+  if (mode === "verdict") return { ...whole, ...verdictPane(paint(0)) };
   if (!first || !second) return { ...whole, panes: [{ title: lacking, image: canvas(new ImageData(...scene.size)) }] };
   const bits = have.flags;
   const hitsOnly = row.quantity === "length" || row.quantity === "position" || row.quantity === "normal";
@@ -294,7 +335,6 @@ async function fromFloats(mine) {
     panes: [{ title: both ? `${names[0]} − ${names[1]}` : `error of ${names[0]} against ${names[1]}`, image, signs: both ? signs : undefined }],
     how: `${what}; black: none; see-through: not compared${none}${rounded}`,
     bar: scale ? colorBar(scale, both) : "",
-    outlines: drawnOutlines,
   };
 }
 
@@ -331,7 +371,7 @@ async function fromPictures() {
   const [first, second, heat] = await Promise.all([pictureOf(keys[0]), pictureOf(keys[1]), pictureOf(one?.picture_heat)]);
   const nothing = canvas(new ImageData(...scene.size));
   const how = `${one?.how ?? "the page has no picture of this"}; without float data exposure and differences are left out`;
-  const none = { how, bar: "", outlines: [] };
+  const none = { how, bar: "" };
   const title = (/** @type {number} */ side) => `${"AB"[side]}  ${names[side]}`;
   const [a, b] = [first ?? nothing, second ?? nothing];
   if (mode === "side") return { ...none, panes: [{ title: title(0), image: a }, { title: title(1), image: b }] };
@@ -342,7 +382,39 @@ async function fromPictures() {
   const ticks = one?.ticks ?? [];
   const bar = ticks.length ? barOf(ticks, (share) => inferno(share)) : "";
   const told = heat ? "largest difference of a channel; black: none" : "no difference, or the page has no picture of it";
-  return { panes: [{ title: `error of ${names.join(" against ")}`, image: heat ?? nothing }], how: told, bar, outlines: [] };
+  return { panes: [{ title: `error of ${names.join(" against ")}`, image: heat ?? nothing }], how: told, bar };
+}
+
+/** Why there is no map of FLIP; empty where there is one. */
+function withoutFlip() {
+  const one = comparison(state)?.comparison;
+  if (!one) return "these two were not compared in this pass";
+  if (one.flip) return "";
+  return state.pass === "beauty" ? "no map of FLIP: whitted validate --flip measures it" : "FLIP is of beauty alone";
+}
+
+/** What one sees who flips between the two images. */
+async function fromFlip() {
+  const { scene } = state;
+  const nothing = canvas(new ImageData(...scene.size));
+  const reason = withoutFlip();
+  if (reason) return { panes: [{ title: reason, image: nothing }], how: reason, bar: "" };
+  const one = comparison(state)?.comparison;
+  const image = await pictureOf(one?.picture_flip);
+  const names = [state.a, state.b].map((place) => scene.renderers[place].name);
+  const told = `up to ${brief(number(one?.flip?.max ?? null))}, mean ${brief(number(one?.flip?.mean ?? null))}`;
+  return {
+    panes: [{ title: `FLIP of ${names.join(" and ")}, ${told}`, image: image ?? black(scene.size) }],
+    how: `what an eye sees that flips between the two 8-bit images, at 67 pixels a degree; black: nothing${image ? "" : ", anywhere"}`,
+    bar: barOf([0, 0.25, 0.5, 0.75, 1].map((share) => [share, String(share)]), magma),
+  };
+}
+
+/** @param {[number, number]} size */
+function black(size) {
+  const pixels = new ImageData(...size);
+  for (let i = 3; i < pixels.data.length; i += 4) pixels.data[i] = 255;
+  return canvas(pixels);
 }
 
 /**
@@ -397,8 +469,11 @@ function colorBar(scale, both) {
  * @param {SceneEntry} scene
  */
 async function fetchOthers(mine, scene) {
+  await readAhead(scene, 1);
+  for (const place of scene.renderers.keys()) if (state.scene === scene) await need(place, state.pass);
+  if (state.scene === scene) inspectSoon();
   // Whoever runs through the scenes is not kept waiting by what they pass.
-  await new Promise((resume) => setTimeout(resume, 150));
+  await new Promise((resume) => setTimeout(resume, 250));
   if (state.scene !== scene) return;
   have.margins = await margins(scene);
   const rest = [state.a, state.b, ...scene.renderers.keys()];
@@ -412,11 +487,25 @@ async function fetchOthers(mine, scene) {
   }
   if (state.scene === scene && mine) inspectSoon();
   inspector.dataset.complete = scene.key;
-  await readAhead(scene);
+  await readAhead(scene, 2);
+  inspector.dataset.ahead = scene.key;
+}
+
+let speaking = 0;
+/** Says a pixel that is kept once it is still, for those who hear the page; what is under the pointer would never end. */
+function saySoon() {
+  clearTimeout(speaking);
+  speaking = window.setTimeout(() => {
+    const live = element("v-live");
+    const place = (/** @type {number} */ renderer) => have.planes.get(`${renderer} ${state.pass}`);
+    const text = state.pixel ? spoken(state, state.pixel, place) : "";
+    if (live.textContent !== text) live.textContent = text;
+  }, 300);
 }
 
 let inspecting = 0;
 function inspectSoon() {
+  saySoon();
   if (inspecting) return;
   inspecting = requestAnimationFrame(() => {
     inspecting = 0;
@@ -499,6 +588,10 @@ function controls() {
   element("v-state").innerHTML = `<span class="chip ${one ? (one.ok ? "ok" : "bad") : "none"}" title="${escaped(one?.reason ?? "")}"><span aria-hidden="true">${mark}</span> ${text}</span>`;
   for (const button of element("v-modes").querySelectorAll("button")) {
     button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));
+    if (button.dataset.mode === "flipmap") {
+      button.title = withoutFlip();
+      button.setAttribute("aria-disabled", String(button.title !== ""));
+    }
   }
   exposure.value = String(state.exposure);
   exposure.disabled = !scene.floats || rowOf(state.pass).quantity !== "color";
@@ -527,12 +620,17 @@ function sample(kind) {
 
 /** @param {Mode} mode */
 function setMode(mode) {
+  if (mode === "flipmap" && withoutFlip()) {
+    element("v-how").textContent = withoutFlip();
+    return;
+  }
   if (mode === "flip" && state.mode === "flip") change({ flipped: !state.flipped });
   else change({ mode, flipped: false });
 }
 
 /** @param {number} step */
 function stepScene(step) {
+  direction = step;
   const scenes = filtered(state).map((entry) => entry.scene);
   const at = scenes.indexOf(state.scene);
   const next = scenes[at < 0 ? 0 : Math.max(0, Math.min(scenes.length - 1, at + step))];
@@ -590,6 +688,7 @@ const KEYS = {
   f: () => setMode("flip"),
   d: () => setMode("diff"),
   h: () => setMode("heat"),
+  m: () => setMode("flipmap"),
   v: () => setMode("verdict"),
   x: () => change({ a: state.b, b: state.a }),
   o: () => change({ edges: !state.edges && state.scene.floats }),
@@ -657,6 +756,19 @@ function route() {
   void draw();
 }
 
+/**
+ * Buttons that lead to what other commands found, where there is some.
+ * @param {HTMLElement} place
+ */
+function parts(place) {
+  return [...place.querySelectorAll("section.included")].map((section) => {
+    const button = Object.assign(document.createElement("button"), { type: "button" });
+    button.textContent = section.querySelector("h2")?.textContent ?? "";
+    button.addEventListener("click", () => section.scrollIntoView());
+    return button;
+  });
+}
+
 function begin() {
   if (!run.scenes.length) return;
   const every = [...new Set(run.scenes.flatMap(passesOf))];
@@ -687,7 +799,10 @@ function begin() {
   element("v-help-open").addEventListener("click", () => help.showModal());
   element("v-summary-open").addEventListener("click", () => {
     const place = element("v-matrix");
-    if (!place.firstChild) place.innerHTML = matrix();
+    if (!place.firstChild) {
+      place.innerHTML = matrix();
+      element("v-parts").append(...parts(place));
+    }
     summary.showModal();
   });
   const back = Object.assign(document.createElement("a"), { href: "#/", textContent: "Viewer" });

@@ -26,22 +26,28 @@ export function styles(kinds) {
  */
 export function outline(flags, bit, size, others = 0) {
   const [columns, rows] = size;
-  const set = (/** @type {number} */ x, /** @type {number} */ y) => {
-    if (x < 0 || y < 0 || x >= columns || y >= rows) return false;
-    const flag = flags[y * columns + x];
-    return (flag & bit) !== 0 && (flag & others) === 0;
-  };
-  const path = new Path2D();
+  // With a frame of pixels without it.
+  const wide = columns + 2;
+  const set = new Uint8Array(wide * (rows + 2));
   let any = false;
+  for (let y = 0, i = 0; y < rows; y++) {
+    for (let x = 0; x < columns; x++, i++) {
+      if ((flags[i] & bit) === 0 || (flags[i] & others) !== 0) continue;
+      set[(y + 1) * wide + x + 1] = 1;
+      any = true;
+    }
+  }
+  if (!any) return null;
+  const path = new Path2D();
   const runs = (/** @type {number} */ lines, /** @type {number} */ length, /** @type {boolean} */ across) => {
+    const [step, back] = across ? [1, wide] : [wide, 1];
     for (let line = 0; line <= lines; line++) {
       let start = -1;
-      for (let at = 0; at <= length; at++) {
-        const border =
-          at < length && (across ? set(at, line) !== set(at, line - 1) : set(line, at) !== set(line - 1, at));
+      let place = across ? (line + 1) * wide + 1 : wide + line + 1;
+      for (let at = 0; at <= length; at++, place += step) {
+        const border = at < length && set[place] !== set[place - back];
         if (border && start < 0) start = at;
         if (!border && start >= 0) {
-          any = true;
           path.moveTo(across ? start : line, across ? line : start);
           path.lineTo(across ? at : line, across ? line : at);
           start = -1;
@@ -50,7 +56,6 @@ export function outline(flags, bit, size, others = 0) {
     }
   };
   runs(rows, columns, true);
-  if (!any) return null;
   runs(columns, rows, false);
   return path;
 }

@@ -16,6 +16,7 @@ import { drawMark } from "viewer/marks.js";
 /**
  * @typedef {Object} View
  * @property {[number, number]} size
+ * @property {string} about what all panes show
  * @property {Pane[]} panes
  * @property {Outline[]} outlines
  * @property {Verdict[]} verdicts
@@ -59,7 +60,7 @@ export class Stage {
     this.canvases.forEach((canvas, place) => {
       const caption = /** @type {HTMLElement} */ (canvas.nextElementSibling);
       caption.textContent = titles[place];
-      canvas.setAttribute("aria-label", titles[place]);
+      canvas.setAttribute("aria-label", `${view.about}: ${titles[place]}`);
     });
     this.redraw();
   }

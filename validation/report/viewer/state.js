@@ -1,7 +1,7 @@
 // What is looked at, and its address: everything in location.hash, so that a link shows the same.
 import { pairOf, passesOf, run } from "viewer/data.js";
 
-/** @typedef {"side" | "slider" | "flip" | "diff" | "heat" | "verdict"} Mode */
+/** @typedef {"side" | "slider" | "flip" | "diff" | "heat" | "flipmap" | "verdict"} Mode */
 
 /**
  * @typedef {Object} State
@@ -25,7 +25,7 @@ import { pairOf, passesOf, run } from "viewer/data.js";
  */
 
 /** @type {Mode[]} */
-const MODES = ["side", "slider", "flip", "diff", "heat", "verdict"];
+const MODES = ["side", "slider", "flip", "diff", "heat", "flipmap", "verdict"];
 
 /**
  * Where one has to look first: the pair and pass that differ, else the first, and the worst pixel there.

@@ -35,6 +35,8 @@ interface Comparison {
   picture_a?: string;
   picture_b?: string;
   picture_heat?: string;
+  picture_flip?: string;
+  flip?: { max: Num; mean: Num } | null;
   how?: string;
   ticks?: [number, string][];
 }
