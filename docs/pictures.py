@@ -96,6 +96,13 @@ def screenshots(folder: Path) -> None:
             shot(FIGURES / f"viewer-{mode}.png", 64, "#v-stage", mode=mode)
         shot(FIGURES / "viewer-inspector.png", 24, "#v-inspector", mode="side")
         shot(FIGURES / "viewer-keys.png", 16, "#v-help", mode="side", press="?")
+        page.set_viewport_size({"width": 900, "height": 900})
+        page.goto((folder / "curves" / "index.html").as_uri())
+        # From the legend to what is told of the curves; the table below is folded up.
+        top, figure = page.locator(".lookup").bounding_box(), page.locator(f"#{LADDER}").bounding_box()
+        edges = {"x": figure["x"] - 10, "y": top["y"] - 10, "width": figure["width"] + 20}
+        clip = {**edges, "height": figure["y"] + figure["height"] - top["y"] - 10}
+        save(Image.open(io.BytesIO(page.screenshot(clip=clip, full_page=True))), FIGURES / "ladder.png", 64)
         chromium.close()
 
 

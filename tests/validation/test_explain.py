@@ -755,16 +755,8 @@ def test_bytes_of_a_program_are_held_as_the_program_makes_them(
         "sys.stdout.buffer.write(b'P6 %d %d 255\\n' % levels.shape[1::-1] + levels.tobytes())\n"
     )
     scene = ROOT / "scenes" / "gallery" / "shadows.txt"
-    words = [
-        "explain",
-        str(scene),
-        "20",
-        "30",
-        "--size",
-        "60x40",
-        "--renderer",
-        f"cmd:{sys.executable} {program} {{scene}}",
-    ]
+    name = f"cmd:{sys.executable} {program} {{scene}}"
+    words = ["explain", str(scene), "20", "30", "--size", "60x40", "--renderer", name]
 
     def told(*options: str) -> tuple[str, Any]:
         with pytest.raises(SystemExit):
