@@ -116,9 +116,12 @@ def test_numbers_that_are_none() -> None:
         "no JSON": ("{", "is no JSON"),
         "a list": ("[]", "is no result of whitted"),
         "another result": ('{"comparisons": []}', "holds no stability curves and no speeds"),
-        "a field is missing": ('{"ladders": [], "versions": {}}', "it has no 'renderers'"),
-        "a field is something else": ('{"ladders": 3, "renderers": [], "versions": {}, "command": []}', "is damaged"),
-        "a speed without its scene": ('{"machine": {}, "scenes": [{}], "versions": {}}', "it has no"),
+        "a field is missing": ('{"kind": "stability", "ladders": [], "versions": {}}', "it has no 'renderers'"),
+        "a field is something else": (
+            '{"kind": "stability", "ladders": 3, "renderers": [], "versions": {}, "command": []}',
+            "is damaged",
+        ),
+        "a speed without its scene": ('{"kind": "speed", "machine": {}, "scenes": [{}], "versions": {}}', "it has no"),
     }.values(),
 )
 def test_other_files_are_refused_before_anything_is_drawn(

@@ -894,10 +894,16 @@ def test_far_roots_next_to_outlines_excuse_no_color(root: Path, color: tuple[int
         return Passes(arrays)
 
     claim = renderers.get("native-f32").uncertainty(scene, Settings(), analysis(scene))
-    judge = Court(scene, Settings(), analysis(scene))
+    judge = tangents(scene)
     of = Side(Double(draw=draw), draw(scene, ["beauty"], Settings()), claim)
     finding = judge.find(judge.prover.pixel(24, 24), of, ("beauty",))
     assert finding.cause == "unexplained", finding.because
+
+
+@functools.cache
+def tangents(scene: tracer.Scene) -> Court:
+    """Its judge, who keeps what was proved for one color for the next."""
+    return Court(scene, Settings(), analysis(scene))
 
 
 def test_a_pixel_next_to_an_outline_has_no_bound_of_its_own(root: Path) -> None:

@@ -124,10 +124,12 @@ function passTable(seen, name) {
   let rounded = false;
   const order = [state.a, state.b, ...scene.renderers.keys()].filter((place, i, all) => all.indexOf(place) === i);
   [...channels].forEach((channel, c) => {
-    /** @type {{ value: number, wide: boolean, text: string } | null} */
+    // All are held against the exact value, where it is known, else against A.
+    /** @type {{ value: number, wide: boolean } | null} */
     let first = null;
     const exact = truth ? number(truth[c]) : NaN;
     if (truth) {
+      first = { value: exact, wide: true };
       body += `<tr class="truth"><th>${channel}</th><th>exact</th><td>${digits(exact, false)}</td><td></td><td></td><td></td></tr>`;
     }
     for (const place of order) {
@@ -135,7 +137,7 @@ function passTable(seen, name) {
       const plane = seen.plane(place, name);
       if (plane === null) continue;
       const letter = place === state.a ? "A" : place === state.b ? "B" : "";
-      const head = `<th>${truth || first ? "" : channel}</th><th scope="row" title="${escaped(renderer.name)}">${letter ? `<i>${letter}</i> ` : ""}${escaped(renderer.name)}</th>`;
+      const head = `<th>${first ? "" : channel}</th><th scope="row" title="${escaped(renderer.name)}">${letter ? `<i>${letter}</i> ` : ""}${escaped(renderer.name)}</th>`;
       if (!plane) {
         body += `<tr>${head}<td class="soft">…</td><td></td><td></td><td></td></tr>`;
         continue;
@@ -147,7 +149,7 @@ function passTable(seen, name) {
       const wide = stored.wide && sure;
       const text = digits(value, !wide);
       rounded ||= !sure;
-      const shown = `${sure ? "" : "≈ "}${first ? apart(text, first.text) : escaped(text)}`;
+      const shown = `${sure ? "" : "≈ "}${first ? apart(text, digits(wide ? first.value : Math.fround(first.value), !wide)) : escaped(text)}`;
       const data = `data-renderer="${escaped(renderer.name)}" data-pass="${name}" data-channel="${channel.trim()}"`;
       let rest = "<td></td><td></td><td></td>";
       if (first && row.quantity !== "id" && row.quantity !== "visibility") {
@@ -159,12 +161,13 @@ function passTable(seen, name) {
       } else if (first && value !== first.value) rest = '<td colspan="3"><b>differs</b></td>';
       const eight = row.name === "beauty" ? `<td>${level(value, !wide)}</td>` : "";
       body += `<tr${letter ? ' class="pair"' : ""}>${head}<td class="value" title="${value}" ${data}>${shown}${meaning(scene, row, value)}</td>${rest}${eight}</tr>`;
-      first ??= { value, wide, text };
+      first ??= { value, wide };
     }
   });
   const eight = row.name === "beauty" ? "<th>8-bit</th>" : "";
+  const from = truth ? "the exact value" : "the value of A";
   const note = rounded ? '<p class="soft">≈ float64, rounded to the nearest float32 to keep the page small</p>' : "";
-  return `<table class="values"><thead><tr><th colspan="2">${escaped(name)}</th><th>value</th><th title="less the value of A">− A</th><th title="over the value of A">relative</th><th>ulp</th>${eight}</tr></thead><tbody>${body}</tbody></table>${note}`;
+  return `<table class="values"><thead><tr><th colspan="2">${escaped(name)}</th><th>value</th><th title="less ${from}">− ${truth ? "exact" : "A"}</th><th title="over ${from}">relative</th><th title="floating-point numbers between it and ${from}">ulp</th>${eight}</tr></thead><tbody>${body}</tbody></table>${note}`;
 }
 
 /**
