@@ -114,7 +114,8 @@ def test_links_within_the_page_lead_somewhere(result: tuple[Validation, str, Pat
     assert len(ids) == len(set(ids))
     for tag in ("a", "use"):
         for attributes in page.all(tag):
-            assert (attributes["href"] or "")[1:] in ids
+            href = attributes["href"] or ""
+            assert href[1:] in ids or href.startswith("#/scene="), "an anchor, or an address of the viewer"
     for attributes in page.all("img"):
         if "data-same" in attributes:
             assert attributes["data-same"] in ids
@@ -193,7 +194,9 @@ def test_pictures_decode_and_have_words(result: tuple[Validation, str, Path]) ->
             if attributes.get("class") != "thumb":
                 assert image.size == (int(attributes["width"] or 0), int(attributes["height"] or 0))
     assert set(stored.values()) == {(64, 48), (48, 48), (32, 32)}
-    long = [source for source in (attributes.get("src") for attributes in images) if source and len(source) > 1000]
+    # But for readers without a script, under the marks of verdicts.
+    once = [attributes for attributes in images if attributes.get("class") != "again"]
+    long = [source for source in (attributes.get("src") for attributes in once) if source and len(source) > 1000]
     assert len(long) == len(set(long)), "a picture is stored once"
 
 
@@ -450,7 +453,7 @@ def test_a_pixel_has_its_values_and_errors(judged: tuple[Rendered, str]) -> None
     command = f"whitted explain '{SCENE}' 30 20 --renderer '{RENDERER},native-f64' --size 64x48"
     assert dent == (
         f"30, 20 interior beauty B also diffuse, direct, specular, reflection {values} "
-        f"✗ unexplained {RENDERER} misses 'ball' at t = 2 because <of> unexplained {command}"
+        f"✗ unexplained {RENDERER} misses 'ball' at t = 2 because <of> unexplained {command} in the viewer"
     )
     assert "shadow.L0" in shadow
 

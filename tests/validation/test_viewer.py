@@ -214,11 +214,29 @@ def test_differences_and_levels_are_those_of_the_values(page: Any) -> None:
     cells = [[cell.inner_text() for cell in row.locator("td").all()] for row in rows.all()]
     assert cells[0][-1] == "229"  # 0.9 * 255, truncated
     assert cells[4][-1] == "255"
-    reference = float(cells[5][0])
-    assert float(cells[5][1]) == pytest.approx(reference - 2.5, rel=1e-2)
-    assert float(cells[5][2]) == pytest.approx((2.5 - reference) / 2.5, rel=1e-2)
-    apart = int(np.float64(2.5).view(np.int64)) - int(np.float64(reference).view(np.int64))
-    assert float(cells[5][3].removesuffix("64").strip()) == pytest.approx(apart, rel=0.06)
+    # Against the exact value, as this pixel was judged.
+    exact = float(page.locator("#v-values table.values").first.locator("tbody tr.truth td").nth(8).inner_text())
+    held_against(cells[4], exact, 2.5)
+    right = page.locator("#v-values table.values").first.locator('td[data-renderer="numpy-f64"]').last
+    assert abs(float(right.get_attribute("title")) - exact) < 1e-15
+    # Elsewhere against A.
+    page.locator("#v-stage").focus()
+    page.keyboard.press("ArrowDown")
+    settled(page, at="30,21")
+    whole(page)
+    page.wait_for_function("document.getElementById('v-values').dataset.at === '30,21'")
+    rows = page.locator("#v-values table.values").first.locator("tbody tr.pair")
+    cells = [[cell.inner_text() for cell in row.locator("td").all()] for row in rows.all()]
+    assert cells[0][1:4] == ["", "", ""]
+    first, second = float(cells[4][0]), float(cells[5][0])
+    held_against(cells[5], first, second) if first != second else pytest.fail("they differ in every pixel")
+
+
+def held_against(cells: list[str], base: float, value: float) -> None:
+    assert float(cells[1]) == pytest.approx(value - base, rel=1e-2)
+    assert float(cells[2]) == pytest.approx(abs(value - base) / base, rel=6e-2)
+    apart = abs(int(np.float64(value).view(np.int64)) - int(np.float64(base).view(np.int64)))
+    assert float(cells[3].removesuffix("64").strip()) == pytest.approx(apart, rel=0.06)
 
 
 def test_a_link_restores_everything(browser: Any, page: Any) -> None:

@@ -320,6 +320,7 @@ class Report:
             lines=self._lines(),
             lines_shown=LINES,
             small=self._data.small,
+            uris={key: uri for uri, key in self._stored.items()},
             rows_shown=ROWS,
             causes=CAUSES,
             shapes=SHAPES,

@@ -229,8 +229,8 @@ export function logarithmic(values, scale, size, both) {
     let color = [0, 0, 0];
     if (value !== 0 && scale) {
       const share = (Math.log10(Math.abs(value)) - scale[0]) / (scale[1] - scale[0]);
-      const held = Math.max(0, Math.min(1, share));
-      color = both ? signed(Math.sign(value) * Math.max(0.02, held)) : inferno(held);
+      // What is below all decades is noise beside the rest.
+      if (share >= 0) color = both ? signed(Math.sign(value) * Math.max(0.02, Math.min(1, share))) : inferno(Math.min(1, share));
     }
     pixels.data[4 * i] = color[0];
     pixels.data[4 * i + 1] = color[1];

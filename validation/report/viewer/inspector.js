@@ -188,28 +188,41 @@ function meaning(scene, row, value) {
 function sentence(finding, letter) {
   const label = finding.right ? "right" : run.causes[finding.cause] ?? finding.cause;
   const errors = Object.entries(finding.errors).map(([name, error]) => `${name} by ${brief(number(error))}`);
-  const off = errors.length && !finding.says.startsWith("is off") ? ` Off in ${errors.slice(0, 3).join(", ")}${errors.length > 3 ? ` and ${errors.length - 3} more` : ""}.` : "";
+  const off = errors.length && !finding.says.startsWith("is off") ? ` Off in ${errors.join(", ")}.` : "";
   const says = finding.right ? "is within what it claims of the exact value." : `${finding.says}.${off}`;
   return `<p><span class="chip ${finding.explained ? "ok" : "bad"}"><span aria-hidden="true">${finding.explained ? "✓" : "✗"}</span> ${escaped(label)}</span> <b>${letter ? `${letter} ` : ""}${escaped(finding.renderer)}</b> ${escaped(says)}${finding.because && !finding.right ? `<br><span class="soft">${escaped(finding.because)}</span>` : ""}</p>`;
 }
 
 /**
+ * Whether a cause is told alike for all pixels that have it.
+ * @param {Finding} finding
+ */
+function general(finding) {
+  return finding.cause === "mistake" || finding.cause === "rule";
+}
+
+/**
  * What the judged pixels of a pair come to, the most frequent first.
+ * @param {State} state
  * @param {Pair} pair
  */
-export function causes(pair) {
-  /** @type {Map<string, { finding: Finding, count: number }>} */
+export function causes(state, pair) {
+  /** @type {Map<string, { finding: Finding, verdict: Verdict, count: number }>} */
   const found = new Map();
-  for (const finding of pair.verdicts.flatMap((verdict) => verdict.findings.filter((one) => !one.right))) {
-    const key = [finding.renderer, finding.cause, finding.cause === "mistake" || finding.cause === "rule" ? finding.because : ""].join("\n");
-    const entry = found.get(key) ?? { finding, count: 0 };
-    entry.count += 1;
-    found.set(key, entry);
+  for (const verdict of pair.verdicts) {
+    for (const finding of verdict.findings.filter((one) => !one.right)) {
+      const key = [finding.renderer, finding.cause, general(finding) ? finding.because : ""].join("\n");
+      const entry = found.get(key) ?? { finding, verdict, count: 0 };
+      entry.count += 1;
+      found.set(key, entry);
+    }
   }
   const order = [...found.values()].sort((a, b) => Number(a.finding.explained) - Number(b.finding.explained) || b.count - a.count);
-  const lines = order.slice(0, 4).map(({ finding, count }) => {
-    const { explained, cause, because, renderer } = finding;
-    return `<p><span class="chip ${explained ? "ok" : "bad"}"><span aria-hidden="true">${explained ? "✓" : "✗"}</span> ${escaped(run.causes[cause] ?? cause)}</span> ${count} × <b>${escaped(renderer)}</b> <span class="soft">${escaped(because)}</span></p>`;
+  const lines = order.slice(0, 4).map(({ finding, verdict, count }) => {
+    const { explained, cause, renderer } = finding;
+    const link = address({ ...state, pixel: [verdict.x, verdict.y], zoom: 0 });
+    const because = count === 1 || general(finding) ? `: ${finding.because}` : "";
+    return `<p><span class="chip ${explained ? "ok" : "bad"}"><span aria-hidden="true">${explained ? "✓" : "✗"}</span> ${escaped(run.causes[cause] ?? cause)}</span> ${count} × <b>${escaped(renderer)}</b> ${escaped(finding.says)}<span class="soft">${escaped(because)}</span> (${count > 1 ? "e.g. " : ""}<a href="${escaped(link)}">x ${verdict.x}, y ${verdict.y}</a>)</p>`;
   });
   return lines.length ? `<section class="verdict${order[0].finding.explained ? "" : " alarm"}"><h3>The pixels that were judged</h3>${lines.join("")}</section>` : "";
 }
@@ -240,7 +253,7 @@ function verdicts(seen) {
     text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? `not among the pixels judged in this run. ${nearest(state, found.pair, pixel)} The command below judges this one` : "no pixel was judged";
-    text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(found.pair)}`;
+    text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(state, found.pair)}`;
   }
   const others = scene.pairs.filter((pair) => pair !== found?.pair);
   for (const pair of others) {

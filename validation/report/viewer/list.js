@@ -19,7 +19,7 @@ export function sharedFolder(labels) {
 
 const folder = sharedFolder(run.scenes.map((scene) => scene.label));
 
-/** @typedef {{ made: number, differ: number, wrong: number, worst: Comparison | null, pass: string, ratio: number }} Result */
+/** @typedef {{ made: number, differ: number, wrong: number, worst: Comparison | null, pass: string, ratio: number, excused: number }} Result */
 
 /**
  * What came out of a scene, of the passes and renderers that are asked for.
@@ -30,8 +30,9 @@ const folder = sharedFolder(run.scenes.map((scene) => scene.label));
  */
 export function result(scene, onlyPass, onlyRenderer) {
   /** @type {Result} */
-  const found = { made: 0, differ: 0, wrong: 0, worst: null, pass: "", ratio: -1 };
+  const found = { made: 0, differ: 0, wrong: 0, worst: null, pass: "", ratio: -1, excused: 0 };
   const wrong = new Set();
+  const excused = new Set();
   for (const pair of scene.pairs) {
     const names = [pair.a, pair.b].map((place) => scene.renderers[place].name);
     if (onlyRenderer && !names.includes(onlyRenderer)) continue;
@@ -47,9 +48,11 @@ export function result(scene, onlyPass, onlyRenderer) {
     }
     for (const verdict of pair.verdicts) {
       if (!verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) wrong.add(`${verdict.x},${verdict.y}`);
+      else if (verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) excused.add(`${verdict.x},${verdict.y}`);
     }
   }
   found.wrong = wrong.size;
+  found.excused = excused.size;
   return found;
 }
 
@@ -60,9 +63,10 @@ function told(found) {
   const off = tolerance > 0 ? `${brief(found.ratio * tolerance)}, ${brief(found.ratio)} × its tolerance` : "";
   const worst = found.worst ? `worst: ${found.pass}, off by ${off || brief(number(found.worst.max))}` : "";
   if (!found.made) return { bad: false, chip: "not compared", worst: "" };
+  const edges = found.excused ? `${worst}; ${found.excused} ${found.excused === 1 ? "pixel" : "pixels"} off at edges, explained` : worst;
   if (found.differ) return { bad: true, chip: `${found.differ} of ${found.made} differ`, worst };
   if (found.wrong) return { bad: true, chip: `${found.wrong} ${found.wrong === 1 ? "pixel" : "pixels"} unexplained or wrong`, worst };
-  return { bad: false, chip: `all ${found.made} agree`, worst };
+  return { bad: false, chip: `all ${found.made} agree`, worst: edges };
 }
 
 /**

@@ -56,6 +56,7 @@ let direction = 1;
 /** @type {{ planes: Map<string, Plane | null>, margins: Float32Array | null, flags: Uint8Array | null, scene: SceneEntry | null }} */
 const have = { planes: new Map(), margins: null, flags: null, scene: null };
 
+/** @type {Stage} */
 const stage = new Stage(stageElement, {
   hover: (pixel) => {
     hovered = pixel;
@@ -67,6 +68,7 @@ const stage = new Stage(stageElement, {
   },
   move: (zoom, centre) => change({ zoom, centre: clamped(centre) }),
   split: (split) => change({ split }),
+  resize: () => (element("v-zoom").textContent = `${brief(stage.scale())}×`),
 });
 
 /**
@@ -89,12 +91,18 @@ function change(changes) {
 }
 
 let writing = 0;
-/** Browsers refuse to write an address more than 200 times in 30 seconds. */
+/** The scene of the address. */
+let addressed = "";
+/** Browsers refuse to write an address more than 200 times in 30 seconds. Back leads to the scene before. */
 function writeAddress() {
   if (writing) return;
   writing = window.setTimeout(() => {
     writing = 0;
-    if (!viewer.hidden) history.replaceState(null, "", address(state));
+    if (viewer.hidden) return;
+    const further = addressed !== "" && addressed !== state.scene.key;
+    addressed = state.scene.key;
+    if (further) history.pushState(null, "", address(state));
+    else history.replaceState(null, "", address(state));
   }, 160);
 }
 
@@ -331,10 +339,11 @@ async function fromFloats(mine) {
     ? "A − B of the channel that differs most; orange and +: A is larger, blue and −: B is larger"
     : `largest difference of a channel${row.quantity === "normal" ? "s' vector" : ""}, brighter is larger`;
   const none = scale ? "" : "; there is no difference";
+  const few = scale ? ` or below 1e${scale[0]}` : "";
   return {
     panes: [{ title: both ? `${names[0]} − ${names[1]}` : `error of ${names[0]} against ${names[1]}`, image, signs: both ? signs : undefined }],
-    how: `${what}; black: none; see-through: not compared${none}${rounded}`,
-    bar: scale ? colorBar(scale, both) : "",
+    how: `${what}; black: none${few}; see-through: not compared${none}${rounded}`,
+    bar: scale ? colorBar(scale, both, errors.some((error) => error > 10 ** scale[1])) : "",
   };
 }
 
@@ -342,7 +351,7 @@ async function fromFloats(mine) {
 function verdictPane(image) {
   const now = comparison(state);
   const found = now?.pair.verdicts ?? [];
-  const names = now ? [now.pair.a, now.pair.b].map((place) => state.scene.renderers[place].name) : ["", ""];
+  const names = (now ? [now.pair.a, now.pair.b] : [state.a, state.b]).map((place) => state.scene.renderers[place].name);
   const marks = /** @type {Mark[]} */ (["square", "circle", "both", "dot"]);
   const legend = marks.flatMap((mark) => {
     const count = found.filter((verdict) => who(verdict) === mark).length;
@@ -432,7 +441,8 @@ function how(row, limits, auto) {
   if (row.quantity === "position") return [..."xyz"].map((axis, c) => `${["red", "green", "blue"][c]}: ${axis} from ${from[c]} to ${to[c]}`).join(", ");
   const stops = state.exposure + auto;
   const gain = stops ? `, shown times ${brief(2 ** stops)}` : "";
-  return `linear values from ${brief(Math.min(...limits.from))} to ${brief(Math.max(...limits.to))}${gain}`;
+  const clipped = state.clip ? "; striped: beyond what a screen shows" : "";
+  return `linear values from ${brief(Math.min(...limits.from))} to ${brief(Math.max(...limits.to))}${gain}${clipped}`;
 }
 
 /**
@@ -448,17 +458,19 @@ function barOf(ticks, color) {
 /**
  * @param {[number, number]} scale
  * @param {boolean} both
+ * @param {boolean} more whether there are larger ones
  */
-function colorBar(scale, both) {
+function colorBar(scale, both, more) {
   const [low, high] = scale;
   const steps = Array.from({ length: high - low + 1 }, (_, i) => low + i);
   const share = (/** @type {number} */ exponent) => (exponent - low) / (high - low);
-  if (!both) return barOf(steps.map((exponent, i) => [share(exponent), `${i ? "" : "≤ "}1e${exponent}`]), inferno);
-  const few = steps.filter((exponent) => (high - exponent) % 2 === 0);
+  const named = (/** @type {number} */ exponent) => `1e${exponent}${more && exponent === high ? " and more" : ""}`;
+  if (!both) return barOf(steps.map((exponent) => [share(exponent), named(exponent)]), inferno);
+  const few = steps.length < 4 ? steps : steps.filter((exponent) => (high - exponent) % 2 === 0);
   /** @type {[number, string][]} */
   const ticks = [
-    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 - share(exponent) / 2, `−1e${exponent}`])),
-    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 + share(exponent) / 2, `+1e${exponent}`])),
+    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 - share(exponent) / 2, `−${named(exponent)}`])),
+    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 + share(exponent) / 2, `+${named(exponent)}`])),
   ];
   return barOf(ticks.filter(([at]) => Math.abs(at - 0.5) > 0.03), (at) => signed(2 * at - 1 || 1e-9));
 }
@@ -548,13 +560,13 @@ function overview() {
   const one = now?.comparison;
   if (!now || !one) return '<p class="soft">These two were not compared in this pass; differences are shown all the same.</p>';
   const rows = [
-    ["largest error", one.max === null ? "–" : brief(number(one.max))],
+    [one.edge ? "largest error, edges included" : "largest error", one.max === null ? "–" : brief(number(one.max))],
     ["interior pixels", `${one.interior}, ${one.interior_over} over tolerance`],
     ["edge pixels", `${one.edge}, ${one.edge_over} over tolerance`],
     ["worst interior pixel", one.ratio === null ? "–" : `${brief(number(one.ratio))} × its tolerance of ${brief(number(one.tolerance))}`],
   ];
   const reason = one.reason ? `<p class="reason">${escaped(one.reason)}</p>` : "";
-  return `${reason}${causes(now.pair)}<table class="values"><tbody>${rows.map(([name, text]) => `<tr><th>${name}</th><td>${text}</td></tr>`).join("")}</tbody></table><details><summary>Scene file</summary><pre>${escaped(state.scene.text)}</pre></details>`;
+  return `${reason}${causes(state, now.pair)}<table class="values"><tbody>${rows.map(([name, text]) => `<tr><th>${name}</th><td>${text}</td></tr>`).join("")}</tbody></table><details><summary>Scene file</summary><pre>${escaped(state.scene.text)}</pre></details>`;
 }
 
 /**
@@ -578,7 +590,9 @@ function controls() {
   const { scene } = state;
   const now = comparison(state);
   const bad = (/** @type {string} */ name) => now?.pair.passes[name] && !now.pair.passes[name].ok;
-  fill(passSelect, passesOf(scene).map((name) => [name, bad(name) ? `${name} ✗` : name]), state.pass);
+  // A shadow is of a light.
+  const titled = (/** @type {string} */ name) => (/^shadow\.L\d+$/.test(name) ? `${name} ${scene.lights[Number(name.slice(8))] ?? ""}` : name);
+  fill(passSelect, passesOf(scene).map((name) => [name, bad(name) ? `${titled(name)} ✗` : titled(name)]), state.pass);
   const names = scene.renderers.map((renderer, place) => /** @type {[string, string]} */ ([String(place), renderer.name]));
   fill(aSelect, names, String(state.a));
   fill(bSelect, names, String(state.b));
@@ -668,9 +682,17 @@ function goTo(pixel, zoom) {
   change({ pixel, zoom, centre: zoom && away ? [pixel[0] + 0.5, pixel[1] + 0.5] : [cx, cy] });
 }
 
+/** @param {string} text why nothing happens */
+function say(text) {
+  element("v-how").textContent = text;
+}
+
 function goToWorst() {
-  const place = comparison(state)?.comparison?.worst;
-  if (place) change({ pixel: [place.x, place.y], zoom: 16, centre: [place.x + 0.5, place.y + 0.5] });
+  const one = comparison(state)?.comparison;
+  const place = one?.worst;
+  if (!one) say("these two were not compared in this pass: there is no worst pixel");
+  else if (!place || number(one.max) === 0) say("there is no worst pixel: nothing differs");
+  else change({ pixel: [place.x, place.y], zoom: 16, centre: [place.x + 0.5, place.y + 0.5] });
 }
 
 /** @param {number} step */
@@ -679,6 +701,7 @@ function stepVerdict(step) {
   const at = found.findIndex((one) => one.x === state.pixel?.[0] && one.y === state.pixel?.[1]);
   const next = found[(Math.max(at, step > 0 ? -1 : 0) + step + found.length) % found.length];
   if (next) goTo([next.x, next.y], state.zoom);
+  else say("no pixel of these two was judged");
 }
 
 /** @type {Record<string, () => void>} */
@@ -726,6 +749,8 @@ function onKey(event) {
   const arrow = ARROWS[event.key];
   if (arrow) {
     const step = event.shiftKey ? 10 : 1;
+    // Elsewhere the arrows are for scrolling.
+    if (!inside && target.closest("#v-inspector, .low, .top")) return;
     if (inside) stepPixel(arrow[0] * step, arrow[1] * step);
     else if (arrow[1]) stepScene(arrow[1]);
     else stepPass(arrow[0]);
@@ -753,6 +778,7 @@ function route() {
   summary.close();
   // Back from the report, where one was.
   if (location.hash !== "#/" || !stageElement.dataset.ready) state = fromAddress(location.hash);
+  addressed = state.scene.key;
   void draw();
 }
 

@@ -32,6 +32,7 @@ import { drawMark } from "viewer/marks.js";
  * @property {(pixel: [number, number]) => void} pick
  * @property {(zoom: number, centre: [number, number]) => void} move
  * @property {(split: number) => void} split
+ * @property {() => void} resize
  */
 
 export const MOST_ZOOM = 128;
@@ -49,7 +50,10 @@ export class Stage {
     /** @type {HTMLCanvasElement[]} */
     this.canvases = [];
     this.asked = 0;
-    new ResizeObserver(() => this.redraw()).observe(element);
+    new ResizeObserver(() => {
+      this.redraw();
+      actions.resize();
+    }).observe(element);
   }
 
   /** @param {View} view */
