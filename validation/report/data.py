@@ -129,7 +129,7 @@ class Data:
                     for c in rendered.comparisons
                 },
                 "differ": judged.differ if judged else 0,
-                "verdicts": [_verdict(row) for row in rows],
+                "verdicts": [_verdict(row, rendered) for row in rows],
                 "unproved": [list(pixel) for pixel in judged.unproved] if judged else [],
             }
         )
@@ -253,14 +253,20 @@ class Data:
 LEFT_OUT = ("scene", "size", "renderer", "reference", "pass")
 
 
-def _verdict(row: Row) -> Json:
+def _verdict(row: Row, rendered: Rendered) -> Json:
     verdict = row.verdict
+    tolerances = {
+        comparison.pass_name: float(comparison.maps.tolerance[verdict.y, verdict.x])
+        for comparison in rendered.comparisons
+        if comparison.maps is not None and comparison.pass_name in verdict.passes
+    }
     return {
         "x": verdict.x,
         "y": verdict.y,
         "mark": row.mark,
         "edge": verdict.edge,
         "passes": list(verdict.passes),
+        "tolerances": tolerances,
         "explained": verdict.explained,
         "row": row.anchor,
         "findings": [

@@ -240,6 +240,12 @@ function nearest(state, pair, pixel) {
   return `The nearest of these: <a href="${escaped(link)}">x ${best.x}, y ${best.y}</a>.`;
 }
 
+/** @param {Verdict} verdict */
+function allowed(verdict) {
+  const bounds = Object.entries(verdict.tolerances).map(([name, bound]) => `${name} ${isFinite(number(bound)) ? brief(number(bound)) : "without a bound"}`);
+  return `<p class="soft">${verdict.edge ? "At this edge they" : "They"} may differ by: ${escaped(bounds.join(", "))}.</p>`;
+}
+
 /** @param {Seen} seen */
 function verdicts(seen) {
   const { state, pixel } = seen;
@@ -250,7 +256,7 @@ function verdicts(seen) {
   if (own) {
     const letters = found?.turned ? ["B", "A"] : ["A", "B"];
     const said = own.findings.map((finding, side) => sentence(finding, letters[side])).join("");
-    text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}</section>`;
+    text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}${allowed(own)}</section>`;
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? `not among the pixels judged in this run. ${nearest(state, found.pair, pixel)} The command below judges this one` : "no pixel was judged";
     text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(state, found.pair)}`;
@@ -294,10 +300,10 @@ function marginTable(seen) {
   const at = seen.pixel[1] * scene.size[0] + seen.pixel[0];
   const cells = scene.margins.map((kind, k) => {
     const bit = run.kinds[kind] ?? 0;
-    const edge = seen.flag & bit ? ' <span class="chip bad">edge</span>' : "";
+    const edge = seen.flag & bit ? ' <span class="chip none">edge</span>' : "";
     return `<tr><th scope="row">${kind}</th><td>${brief(seen.margins?.[k * count + at] ?? NaN)}${edge}</td></tr>`;
   });
-  return `<h3>Margins</h3><p class="soft">The relative change of ray and scene that flips a decision; edge: less than A or B can tell in ${escaped(seen.state.pass)}.</p><table class="values margins"><tbody>${cells.join("")}</tbody></table>`;
+  return `<h3>Margins</h3><p class="soft">The relative change of ray and scene that flips a decision; at an edge it is less than A or B can tell in ${escaped(seen.state.pass)}.</p><table class="values margins"><tbody>${cells.join("")}</tbody></table>`;
 }
 
 /**

@@ -464,13 +464,13 @@ function colorBar(scale, both, more) {
   const [low, high] = scale;
   const steps = Array.from({ length: high - low + 1 }, (_, i) => low + i);
   const share = (/** @type {number} */ exponent) => (exponent - low) / (high - low);
-  const named = (/** @type {number} */ exponent) => `1e${exponent}${more && exponent === high ? " and more" : ""}`;
+  const named = (/** @type {number} */ exponent) => `${more && exponent === high ? "≥ " : ""}1e${exponent}`;
   if (!both) return barOf(steps.map((exponent) => [share(exponent), named(exponent)]), inferno);
   const few = steps.length < 4 ? steps : steps.filter((exponent) => (high - exponent) % 2 === 0);
   /** @type {[number, string][]} */
   const ticks = [
-    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 - share(exponent) / 2, `−${named(exponent)}`])),
-    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 + share(exponent) / 2, `+${named(exponent)}`])),
+    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 - share(exponent) / 2, `${named(exponent).replace("≥ ", "≤ ").replace("1e", "−1e")}`])),
+    ...few.map((exponent) => /** @type {[number, string]} */ ([0.5 + share(exponent) / 2, `${named(exponent).replace("1e", "+1e")}`])),
   ];
   return barOf(ticks.filter(([at]) => Math.abs(at - 0.5) > 0.03), (at) => signed(2 * at - 1 || 1e-9));
 }

@@ -59,6 +59,8 @@ interface Verdict {
   mark: Mark;
   edge: boolean;
   passes: string[];
+  /** By pass what A and B may differ by here. */
+  tolerances: Record<string, Num>;
   explained: boolean;
   row: string;
   findings: [Finding, Finding];
