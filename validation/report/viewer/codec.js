@@ -124,7 +124,8 @@ export function restOf(values, base) {
   const [a, b] = [new Uint32Array(values.buffer, values.byteOffset), new Uint32Array(near.buffer)];
   const rest = new Int32Array(base.length);
   for (let i = 0; i < rest.length; i++) {
-    if (values[i] !== values[i] || (values[i] < 0) !== (near[i] < 0)) continue;
+    // By the bit of the sign, which -0 has, too.
+    if (values[i] !== values[i] || (a[2 * i + 1] ^ b[2 * i + 1]) < 0) continue;
     const far = (a[2 * i + 1] - b[2 * i + 1]) * 2 ** 32 + (a[2 * i] - b[2 * i]);
     if (Math.abs(far) < 2 ** 30) rest[i] = far;
   }

@@ -130,7 +130,7 @@ function passTable(seen, name) {
     const exact = truth ? number(truth[c]) : NaN;
     if (truth) {
       first = { value: exact, wide: true };
-      body += `<tr class="truth"><th>${channel}</th><th>exact</th><td>${digits(exact, false)}</td><td></td><td></td><td></td></tr>`;
+      body += `<tr class="truth"><th>${channel}</th><th>exact</th><td>${digits(exact, false)}</td><td></td><td></td><td></td>${row.name === "beauty" ? `<td>${level(exact, false)}</td>` : ""}</tr>`;
     }
     for (const place of order) {
       const renderer = scene.renderers[place];

@@ -112,6 +112,15 @@ function rank(found) {
 }
 
 /**
+ * What a scene is called in the list: with its size where there are two.
+ * @param {SceneEntry} scene
+ */
+function called(scene) {
+  const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
+  return scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
+}
+
+/**
  * @param {State} state
  * @param {HTMLElement} list
  * @param {HTMLElement} count
@@ -127,8 +136,7 @@ export function fillList(state, list, count, choose) {
       const button = document.createElement("button");
       button.type = "button";
       button.dataset.scene = scene.key;
-      const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
-      const name = scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
+      const name = called(scene);
       button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name).replace(/[/-]/g, "$&<wbr>")}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
       button.addEventListener("click", () => choose(scene));
       item.append(button);
@@ -185,8 +193,8 @@ export function matrix() {
         const sign = `<span aria-hidden="true">${one.ok ? "✓" : "✗"}</span><span class="sr">${one.ok ? "agrees" : "differs"}</span>`;
         return `<td class="${one.ok ? "ok" : "bad"}"><a href="${escaped(address(state))}" title="${escaped(`${name}: ${one.reason ?? "agrees"}`)}">${sign} ${ratio}</a></td>`;
       });
-      const head = place ? "" : `<th scope="rowgroup" rowspan="${scene.pairs.length}">${escaped(scene.label.slice(folder.length))}</th>`;
-      const names = `${scene.renderers[pair.a].name}<br>${scene.renderers[pair.b].name}`;
+      const head = place ? "" : `<th scope="rowgroup" rowspan="${scene.pairs.length}">${escaped(called(scene))}</th>`;
+      const names = [pair.a, pair.b].map((place) => escaped(scene.renderers[place].name)).join("<br>");
       return `<tr>${head}<th scope="row">${names}</th>${cells.join("")}</tr>`;
     }),
   );

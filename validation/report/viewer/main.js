@@ -152,8 +152,8 @@ async function pictureOf(key) {
 }
 
 /** What is drawn of the pictures of one comparison; made again only when one of these changes. */
-/** @type {{ key: string, panes: Pane[], how: string, bar: string }} */
-let made = { key: "", panes: [], how: "", bar: "" };
+/** @type {{ key: string, flags: Uint8Array | null, panes: Pane[], how: string, bar: string }} */
+let made = { key: "", flags: null, panes: [], how: "", bar: "" };
 
 async function draw() {
   const mine = ++turn;
@@ -169,13 +169,17 @@ async function draw() {
   const now = comparison(state);
   const key = [scene.key, pass, a, b, mode, state.exposure, state.clip, state.flipped && mode === "flip"].join(" ");
   if (made.key !== key) {
-    have.flags = await flagsOf(scene, now?.comparison);
+    const flags = await flagsOf(scene, now?.comparison);
+    if (mine !== turn) return;
+    have.flags = flags;
     const fresh = mode === "flipmap" ? await fromFlip() : scene.floats ? await fromFloats(mine) : await fromPictures();
     if (mine !== turn || !fresh) return;
-    made = { key, ...fresh };
+    made = { key, flags, ...fresh };
     element("v-how").textContent = made.how;
     element("v-bar").innerHTML = made.bar;
   }
+  // Another comparison may have been begun and given up.
+  have.flags = made.flags;
   stageElement.dataset.mode = mode;
   stage.show({
     about: `${pass} of ${scene.label}`,
@@ -487,7 +491,9 @@ async function fetchOthers(mine, scene) {
   // Whoever runs through the scenes is not kept waiting by what they pass.
   await new Promise((resume) => setTimeout(resume, 250));
   if (state.scene !== scene) return;
-  have.margins = await margins(scene);
+  const found = await margins(scene);
+  if (state.scene !== scene) return;
+  have.margins = found;
   const rest = [state.a, state.b, ...scene.renderers.keys()];
   for (const name of [state.pass, ...passesOf(scene)]) {
     for (const place of new Set(rest)) {
