@@ -56,6 +56,7 @@ $(VENV)/installed: $(VENV)/dependencies $(VENV)/files CMakeLists.txt $(NATIVE)
 install: $(VENV)/installed
 
 demo: install $(EXTRAS)
+	@echo "3 of 3: the bundled scenes, about a minute"
 	$(BIN)/whitted validate scenes/gallery scenes/spec --against mitsuba-spec --report report \
 		$(addprefix --include ,$(EXTRAS)); status=$$?; \
 	$(BIN)/whitted renderers --missing; exit $$status
@@ -63,11 +64,13 @@ demo: install $(EXTRAS)
 # What the report of the demo shows besides. What breaks or is missing there is told there, and does not fail the demo.
 build/stability.json: $(VENV)/installed $(PYTHONS)
 	@mkdir -p build
+	@echo "1 of 3: how hard a scene may get, on 4 ladders; Mitsuba breaks on one"
 	$(BIN)/whitted stability -q --ladder far-on-axis,mirrors,blocker-light,exponent \
 		--renderer native-f64,native-f32,numpy-f64,mitsuba-spec --json $@ || test -s $@
 
 build/speed.json: $(VENV)/installed $(PYTHONS) | build/stability.json
 	@mkdir -p build
+	@echo "2 of 3: speed against error, of one scene"
 	$(BIN)/whitted speed -q scenes/gallery/mirrors.txt --size 200x200 --rounds 5 --seconds 0.3 --limit 8 \
 		--pixels 100 --edges 20 --json $@ || test -s $@
 

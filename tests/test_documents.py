@@ -31,9 +31,11 @@ from validation.cli import whitted
 from validation.rules import ACNE, MISTAKES
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = sorted(
-    str(path.relative_to(ROOT)) for folder in ("", "docs/**/", "scenes/") for path in ROOT.glob(f"{folder}*.md")
-)
+#: Not what a reader has made beside them.
+OURS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+DOCUMENTS = [
+    str(path.relative_to(ROOT)) for path in (*OURS, *sorted(ROOT.glob("docs/**/*.md")), *ROOT.glob("scenes/*.md"))
+]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in DOCUMENTS}
 
 LANGUAGES = {"console", "python", "diff", "text", "toml", "yaml", "xml"}

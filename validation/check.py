@@ -556,6 +556,11 @@ class Checked:
         # A few pixels look like many things.
         return {says: count for says, count in found.most_common() if count >= self.judged / LIKELY}
 
+    def diagnosis(self) -> list[str]:
+        """The same as sentences."""
+        pixels = f"of {self.judged} pixels judged"
+        return [f"most likely: it {says} ({count} {pixels})" for says, count in self.likely().items()]
+
     def about(self) -> list[str]:
         """The convention, what it explains, and what is left, a line each; indented: about the line before."""
         lines, likely = [], self.likely()
@@ -685,7 +690,7 @@ def check(
             ending += f" in {len(endings)} of {len(pictures)} scenes"
         result.wrong = tuple(filter(None, (found.convention.fault, ending)))
         made = Checked(found, [*left], result, pictures[0].steps, ending)
-        result.about = made.about()
+        result.about = [*made.diagnosis(), *made.about()]
         return made
 
     def so_far(result: Validation) -> None:
@@ -721,7 +726,11 @@ def together(results: Mapping[str, Checked]) -> Validation:
         found.wrong += tuple(f"{name}: {fault}" for fault in one.wrong)
         found.lacking |= one.lacking
         found.versions |= one.versions
-        found.about = [*found.about, f"{name}: {result.says}", *(f"  {line.strip()}" for line in result.about())]
+        found.about = [
+            *found.about,
+            f"{name}: {result.says}",
+            *(f"  {line.strip()}" for line in (*result.diagnosis(), *result.about())),
+        ]
     return found
 
 

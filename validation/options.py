@@ -272,7 +272,7 @@ def results_options(each: str, more: str = "") -> Callable[[Function], Function]
             "--verdicts",
             type=Whole(hint=f"--verdicts 500 judges 500 pixels of {each} at most, --verdicts 0 none"),
             default=MOST_VERDICTS,
-            show_default=True,
+            show_default=not more,
             metavar="N",
             help=f"Of {each} work out N differing pixels exactly: who is wrong, and why; a random sample where more "
             f"differ; 0: none.{more}",

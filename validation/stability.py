@@ -51,8 +51,8 @@ Named: TypeAlias = str | Renderer
 SECONDS = 120.0
 #: What a cell of the table means.
 LEGEND = (
-    "-: holds to the end; (1e5): from there on its claim excuses every pixel, or it refuses the scene; refused: all of "
-    "them; !1e5: it failed there, and is not asked again"
+    "-: holds to the end; (RUNG): from there on its claim excuses every pixel, or it refuses the scene; refused: all "
+    "of them; !RUNG: it failed there, and is not asked again"
 )
 #: So many breaks are told in words.
 TOLD = 12

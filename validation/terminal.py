@@ -451,9 +451,8 @@ def print_check(result: Checked) -> None:
 
     for line in result.about():
         click.echo(line)
-    for says, count in result.likely().items():
-        pixels = f"({count} of {result.judged} pixels judged)"
-        click.secho(f"most likely: it {says} {pixels}", fg="red", color=colorful())
+    for line, says in zip(result.diagnosis(), result.likely(), strict=True):
+        click.secho(line, fg="red", color=colorful())
         if says == ACNE.says:
             click.echo(f"  hint: {ACNE.hint}")
     for verdicts in result.validation.verdicts:

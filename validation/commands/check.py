@@ -72,7 +72,10 @@ if TYPE_CHECKING:
 )
 @click.option("--size", type=Size(), help="With --command: columns and rows instead of the scene's own.")
 @drawing_options
-@results_options("each image", " Without it no more than 12 where these all come to the same, or than 20 s allow.")
+@results_options(
+    "each image",
+    " Default: 100; 24 where these come to nothing that is known, 12 where all to one mistake; and no more than 20 s allow.",
+)
 @loudness_options()
 @click.pass_context
 def check(

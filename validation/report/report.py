@@ -403,7 +403,9 @@ def headline(result: Validation) -> str:
     wrong = f"Wrong: {'; '.join(result.wrong)}" if result.wrong else ""
     done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), result.parts)}"
     unfinished = f"Unfinished: {done}" if result.unfinished else ""
-    return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, compared(result))))
+    # Of one program what is wrong with it.
+    likely = " and ".join(line for line in result.about if line.startswith("most likely")).capitalize()
+    return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, likely, compared(result))))
 
 
 def failed(failures: Sequence[Note]) -> str:
