@@ -74,7 +74,7 @@ if TYPE_CHECKING:
 @drawing_options
 @results_options(
     "each image",
-    " Default: 100; 24 where these come to nothing that is known, 12 where all to one mistake; and no more than 20 s allow.",
+    " Default: 100; 24 where these come to nothing that is known, 12 where all to one mistake, or what 20 s allow.",
 )
 @loudness_options()
 @click.pass_context
