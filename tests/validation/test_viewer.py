@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -204,6 +205,41 @@ def test_the_inspector_shows_the_values_of_the_arrays(browser: Any, tmp_path: Pa
                 if passes[name].dtype == np.float32:
                     shown = {channel: float(np.float32(value)) for channel, value in shown.items()}
                 assert [*shown.values()] == expected, (x, y, renderer, name)
+    assert page.complaints == []
+    page.close()
+
+
+def test_programs_with_conventions_of_their_own_have_values_of_their_own(
+    browser: Any, tmp_path: Path, scene: Path
+) -> None:
+    raytrace = Path(sys.executable).parent / "raytrace"
+    commands = [f"{raytrace} {{scene}} -o {{output}}{more}" for more in (" --sample center", "")]
+    words = [word for command in commands for word in ("--command", command)]
+    with pytest.raises(SystemExit) as status:
+        main(["check", str(scene), *words, "--report", str(tmp_path / "out")])
+    assert status.value.code == 0
+    page = opened(browser, (tmp_path / "out" / "index.html").as_uri())
+    assert names(page) == ["full.txt · center", "full.txt · corner"]
+    loaded = tracer.load(scene)
+    for sample, command in zip(("center", "corner"), commands, strict=True):
+        drawn = tracer.render(loaded, ("beauty",), sample=sample)["beauty"]
+        page.locator("#v-scenes button", has_text=sample).click()
+        settled(page, **{"as": sample, "a": f"cmd:{command}"})
+        shown = page.locator("#v-stage").get_attribute("data-ready")
+        for x, y in ((30, 9), (20, 20), (5, 40)):
+            link = re.sub("&at=[^&]*", "", shown) + f"&at={x},{y}"
+            page.evaluate("hash => { location.hash = hash }", link)
+            page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+            settled(page, **{"as": sample, "at": f"{x},{y}"})
+            whole(page)
+            assert [*values(page, "native-f64", "beauty").values()] == drawn[y, x].tolist()
+            levels = np.trunc(drawn[y, x].clip(0, 1) * 255) / 255
+            assert [*values(page, f"cmd:{command}", "beauty").values()] == pytest.approx(levels.tolist(), abs=1e-7)
+            said = page.locator("#v-command").inner_text()
+            assert ("--sample center" in said.split(" --renderer ")[-1].split("'")[-1]) == (sample == "center")
+    page.locator("#v-summary-open").click()
+    heads = [head.inner_text() for head in page.locator("#v-matrix th[scope=rowgroup]").all()]
+    assert heads == ["full.txt · center", "full.txt · corner"]
     assert page.complaints == []
     page.close()
 

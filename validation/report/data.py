@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import json
+import shlex
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tracer.passes import MARGINS, TABLE
 from validation.records import json_value
+from validation.renderers import Settings
 from validation.report import floats
 from validation.report.verdicts import CAUSES
 from validation.run import explain_options
@@ -38,6 +42,36 @@ VIEWER = Path(__file__).with_name("viewer")
 Json = dict[str, Any]
 
 
+class Place(NamedTuple):
+    """What has to be the same where renderers share values of a scene: one name draws the same then."""
+
+    label: str
+    size: tuple[int, int]
+    text: str
+    settings: Settings
+    convention: str
+
+    @classmethod
+    def of(cls, rendered: Rendered) -> Place:
+        """That of one pair."""
+        settings = replace(rendered.settings, threads=Settings.threads)
+        size = rendered.comparisons[0].size
+        return cls(rendered.label, size, rendered.scene.text(), settings, rendered.convention)
+
+    @property
+    def says(self) -> str:
+        """How it was drawn, in a few words: "center, round"."""
+        told, plain = self.settings, Settings()
+        words: list[str] = [told.sample]
+        if told.shadow_epsilon != plain.shadow_epsilon:
+            words.append(f"epsilon {told.shadow_epsilon:g}")
+        if told.max_reflections != plain.max_reflections:
+            words.append(f"reflections {told.max_reflections}")
+        # Of options such as `--quantisation round --flipped` what they say.
+        words += [word.removeprefix("--") for word in shlex.split(self.convention) if word != "--quantisation"]
+        return ", ".join(words)
+
+
 @dataclass
 class Drawn:
     """One renderer on one scene: its passes, compressed."""
@@ -50,7 +84,7 @@ class Drawn:
 
 @dataclass
 class SceneData:
-    """One scene at one size, and every pair that drew it."""
+    """One scene at one size with the same settings, and every pair that drew it."""
 
     key: str
     entry: Json
@@ -87,13 +121,13 @@ class Data:
     def __init__(self, *, small: bool = False) -> None:
         """Empty."""
         self.small = small
-        self._scenes: dict[tuple[str, tuple[int, int]], SceneData] = {}
+        self._scenes: dict[Place, SceneData] = {}
         self._flags: dict[str, str] = {}
 
     def add(self, rendered: Rendered, anchor: str, verdicts: VerdictsView | None, pictures: Json, *, ok: bool) -> None:
         """One more pair; `pictures`: by pass what the page shows of it."""
         size = rendered.comparisons[0].size
-        place = rendered.label, size
+        place = Place.of(rendered)
         if place not in self._scenes:
             # The arrays of the scene before are not needed any more.
             for other in self._scenes.values():
@@ -184,6 +218,19 @@ class Data:
         text = floats.store_bytes(flags.astype(np.uint8))
         return self._flags.setdefault(text, f"f{len(self._flags)}")
 
+    def variants(self) -> dict[str, str]:
+        """By pair, by its anchor, what tells its scene from others with the same name and size; "": there are none."""
+        found: dict[str, str] = {}
+        taken = set()
+        alike = Counter((place.label, place.size) for place in self._scenes)
+        for place, scene in self._scenes.items():
+            says = place.says if alike[place.label, place.size] > 1 else ""
+            candidates = itertools.chain([says], (f"{says} {number}" for number in itertools.count(2)))
+            variant = next(name for name in candidates if (place.label, place.size, name) not in taken)
+            taken.add((place.label, place.size, variant))
+            found |= {pair["anchor"]: variant for pair in scene.pairs}
+        return found
+
     def page(self, about: Json, finished: Container[str]) -> tuple[str, list[tuple[str, str]]]:
         """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last.
 
@@ -205,7 +252,10 @@ class Data:
                     tiers[scene.key] += 1
                     left -= need
                     blocks |= stored
-        entries = [self._entry(scene, tiers[scene.key]) for scene in ordered]
+        variants = self.variants()
+        entries = [
+            {**self._entry(scene, tiers[scene.key]), "as": variants[scene.pairs[0]["anchor"]]} for scene in ordered
+        ]
         record = {
             **about,
             "small": self.small,

@@ -28,6 +28,14 @@ export function rowOf(name) {
 }
 
 /**
+ * What follows the name of a scene, where another one has the same.
+ * @param {SceneEntry} scene
+ */
+export function variant(scene) {
+  return scene.as ? ` · ${scene.as}` : "";
+}
+
+/**
  * Every pass of a scene that some renderer has, in the order of the table.
  * @param {SceneEntry} scene
  * @returns {string[]}

@@ -1,5 +1,5 @@
 // The list of scenes with filters, and the matrix of all of them.
-import { number, passesOf, run } from "viewer/data.js";
+import { number, passesOf, run, variant } from "viewer/data.js";
 import { brief, escaped } from "viewer/inspector.js";
 import { address, initial, worst } from "viewer/state.js";
 
@@ -100,7 +100,7 @@ export function filtered(state) {
     .map((scene) => ({ scene, found: result(scene, state.onlyPass, state.onlyRenderer) }))
     .filter(({ scene, found }) => {
       const bad = found.differ > 0 || found.wrong > 0;
-      const text = `${scene.label} ${scene.size.join("x")} ${scene.spheres.join(" ")}`.toLowerCase();
+      const text = `${scene.label} ${scene.size.join("x")} ${scene.as} ${scene.spheres.join(" ")}`.toLowerCase();
       return found.made > 0 && (bad || !state.failed) && words.every((word) => text.includes(word));
     })
     .sort((a, b) => rank(a.found) - rank(b.found));
@@ -127,8 +127,8 @@ export function fillList(state, list, count, choose) {
       const button = document.createElement("button");
       button.type = "button";
       button.dataset.scene = scene.key;
-      const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
-      const name = scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
+      const double = run.scenes.some((other) => other.label === scene.label && other.size.join() !== scene.size.join());
+      const name = scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "") + variant(scene);
       button.innerHTML = `<img alt="" loading="lazy" src="${thumbnail(scene)}"><span><b>${escaped(name).replace(/[/-]/g, "$&<wbr>")}</b><span class="chip ${bad ? "bad" : "ok"}"><span aria-hidden="true">${bad ? "✗" : "✓"}</span> ${chip}</span><span class="soft">${escaped(worst)}</span></span>`;
       button.addEventListener("click", () => choose(scene));
       item.append(button);
@@ -185,7 +185,7 @@ export function matrix() {
         const sign = `<span aria-hidden="true">${one.ok ? "✓" : "✗"}</span><span class="sr">${one.ok ? "agrees" : "differs"}</span>`;
         return `<td class="${one.ok ? "ok" : "bad"}"><a href="${escaped(address(state))}" title="${escaped(`${name}: ${one.reason ?? "agrees"}`)}">${sign} ${ratio}</a></td>`;
       });
-      const head = place ? "" : `<th scope="rowgroup" rowspan="${scene.pairs.length}">${escaped(scene.label.slice(folder.length))}</th>`;
+      const head = place ? "" : `<th scope="rowgroup" rowspan="${scene.pairs.length}">${escaped(scene.label.slice(folder.length) + variant(scene))}</th>`;
       const names = `${scene.renderers[pair.a].name}<br>${scene.renderers[pair.b].name}`;
       return `<tr>${head}<th scope="row">${names}</th>${cells.join("")}</tr>`;
     }),

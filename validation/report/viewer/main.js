@@ -1,6 +1,6 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
 import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
-import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim } from "viewer/data.js";
+import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim, variant } from "viewer/data.js";
 import { brief, causes, escaped, inspect, spoken } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
@@ -178,7 +178,7 @@ async function draw() {
   }
   stageElement.dataset.mode = mode;
   stage.show({
-    about: `${pass} of ${scene.label}`,
+    about: `${pass} of ${scene.label}${variant(scene)}`,
     size: scene.size,
     panes: made.panes,
     outlines: outlines(),
@@ -211,7 +211,7 @@ async function placeholder(mine) {
   const title = "reading …";
   const panes = (state.mode === "side" ? [0, 1] : [0]).map(() => ({ title, image }));
   const { pixel, zoom, centre, split } = state;
-  const about = `${state.pass} of ${state.scene.label}`;
+  const about = `${state.pass} of ${state.scene.label}${variant(state.scene)}`;
   stage.show({ about, size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
 }
 

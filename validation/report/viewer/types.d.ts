@@ -81,6 +81,8 @@ interface SceneEntry {
   key: string;
   label: string;
   size: [number, number];
+  /** What tells it from others with the same label and size, as drawn with other settings; empty: there are none. */
+  as: string;
   text: string;
   spheres: string[];
   lights: string[];
