@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,11 @@ import pytest
 from doubles import Double, with_arrays
 
 import tracer
+from tracer.passes import Sample
 from validation import Settings, validate
+from validation.check import Convention, Picture, check
 from validation.cli import main
+from validation.encoding import QUANTISATIONS, Encoding
 from validation.renderers.numpy import Reference
 from validation.report.report import Report
 
@@ -99,6 +104,169 @@ def colors(page: Any, canvas: int = 0) -> int:
         canvas,
     )
     return count
+
+
+def into(report: Report, kept: list[Any]) -> Callable[[Any], None]:
+    """What was drawn goes to both."""
+
+    def both(rendered: Any) -> None:
+        kept.append(rendered)
+        report.add(rendered)
+
+    return both
+
+
+def color_at(page: Any, x: int, y: int) -> list[int]:
+    """The colour of a pixel of the scene, in the only canvas, where all of it is in sight."""
+    found: list[int] = page.evaluate(
+        """([x, y]) => {
+            const canvas = document.querySelector(".stage canvas");
+            const shown = new URLSearchParams(document.getElementById("v-stage").dataset.ready.slice(2));
+            const [columns, rows] = shown.get("size").split("x").map(Number);
+            const { width, height } = canvas;
+            const scale = parseFloat(document.getElementById("v-zoom").textContent) * width / canvas.clientWidth;
+            const copy = Object.assign(document.createElement("canvas"), { width, height });
+            const context = copy.getContext("2d", { willReadFrequently: true });
+            context.drawImage(canvas, 0, 0);
+            const at = [width / 2 + (x + 0.5 - columns / 2) * scale, height / 2 + (y + 0.5 - rows / 2) * scale];
+            return [...context.getImageData(Math.floor(at[0]), Math.floor(at[1]), 1, 1).data.slice(0, 3)];
+        }""",
+        [x, y],
+    )
+    return found
+
+
+def scale_of(errors: Any, edge: Any) -> tuple[int, int]:
+    """The exponents between which errors are shown: at most six factors of ten below the largest of the interior."""
+    inside = errors[(errors > 0) & ~edge]
+    top = math.ceil(math.log10(inside.max()))
+    return max(top - 6, min(math.floor(math.log10(inside.min())), top - 1)), top
+
+
+def expected_color(page: Any, value: float, scale: tuple[int, int], *, signed: bool) -> list[float]:
+    """That of the scale of errors, or of signed differences."""
+    if value == 0:
+        return [0, 0, 0]
+    share = (math.log10(abs(value)) - scale[0]) / (scale[1] - scale[0])
+    share = math.copysign(max(0.02, min(1, share)), value) if signed else min(1, share)
+    found: list[float] = page.evaluate(
+        "async ([name, share]) => (await import('viewer/colors.js'))[name](share)",
+        ["signed" if signed else "inferno", share],
+    )
+    return found
+
+
+def test_errors_and_signs_have_the_colors_of_their_decades(browser: Any, tmp_path: Path) -> None:
+    report = Report()
+    double = Double(draw=with_arrays(dented))
+    kept: list[Any] = []
+    result = validate({"full.txt": doubles.full()}, [double], "numpy-f64", on_rendered=into(report, kept))
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    maps = next(one.maps for one in kept[0].comparisons if one.pass_name == "beauty")
+    apart = kept[0].renderer["beauty"] - kept[0].reference["beauty"]
+    signed = np.take_along_axis(apart, np.abs(apart).argmax(axis=-1)[..., None], axis=-1)[..., 0]
+    assert np.abs(signed) == pytest.approx(maps.error)
+    scale = scale_of(maps.error, maps.edge)
+    page.keyboard.press("Escape")
+    for key, mode, values in (("h", "heat", maps.error), ("d", "diff", signed)):
+        page.keyboard.press(key)
+        settled(page, mode=mode, at="")
+        for x, y in ((30, 20), (12, 21), (19, 21)):
+            expected = expected_color(page, values[y, x], scale, signed=mode == "diff")
+            assert color_at(page, x, y) == pytest.approx(expected, abs=2), (mode, x, y)
+        assert color_at(page, 2, 2) == [0, 0, 0], "far below all decades"
+    page.keyboard.press("x")
+    settled(page, mode="diff", a="numpy-f64")
+    assert color_at(page, 30, 20) == pytest.approx(expected_color(page, -signed[20, 30], scale, signed=True), abs=2)
+    assert page.complaints == []
+    page.close()
+
+
+def checked(folder: Path, convention: Convention, *, wrong: int = 0) -> tuple[str, Any]:
+    """The report of an image made by that convention, and what was drawn; one pixel is off by so many levels."""
+    scene = doubles.full()
+    colors = tracer.render(scene, ("beauty",), sample=convention.sample)["beauty"]
+    levels = convention.encoding().encode(colors)
+    levels[20, 30] += np.where(levels[20, 30] > 127, -wrong, wrong)
+    report = Report()
+    kept: list[Any] = []
+    result = check([Picture("full.txt", scene, levels)], on_rendered=into(report, kept)).validation
+    return report.write(folder, result).as_uri(), kept[0]
+
+
+@pytest.mark.parametrize("quantisation", ["srgb", "round"])
+def test_of_bytes_the_error_that_was_measured_is_shown(browser: Any, tmp_path: Path, quantisation: str) -> None:
+    address, kept = checked(tmp_path, Convention("center", quantisation=quantisation), wrong=40)
+    maps = kept.comparisons[0].maps
+    assert (maps.error > 0).sum() == 1
+    page = opened(browser, address)
+    page.keyboard.press("Escape")
+    scale = scale_of(maps.error, maps.edge)
+    for key, mode in (("h", "heat"), ("d", "diff")):
+        page.keyboard.press(key)
+        settled(page, mode=mode, at="")
+        how = page.locator("#v-how").inner_text()
+        assert f"A is bytes: {QUANTISATIONS[quantisation]}" in how
+        assert "black: the right level" in how
+        sign = sign_of(kept, 30, 20) if mode == "diff" else 1
+        expected = expected_color(page, sign * maps.error[20, 30], scale, signed=mode == "diff")
+        assert color_at(page, 30, 20) == pytest.approx(expected, abs=2)
+        for x, y in ((31, 20), (5, 40), (30, 9)):
+            assert color_at(page, x, y) == [0, 0, 0]
+    page.keyboard.press("b")
+    settled(page, mode="side", at="")
+    assert f"A is bytes: {QUANTISATIONS[quantisation]}" in page.locator("#v-how").inner_text()
+    # The 8-bit column: the program's own byte, and what the other colour becomes by its rule.
+    page.locator("#v-stage").focus()
+    shown = page.locator("#v-stage").get_attribute("data-ready")
+    encoding = Convention(quantisation=quantisation).encoding()
+    for x, y in ((5, 40), (30, 20), (30, 9)):
+        page.evaluate("hash => { location.hash = hash }", re.sub("&at=[^&]*", "", shown) + f"&at={x},{y}")
+        page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+        whole(page)
+        page.wait_for_function("!document.querySelector('#v-values').innerText.includes('…')")
+        rows = page.locator("#v-values table.values").first.locator("tbody tr.pair")
+        cells = [int(row.locator("td").last.inner_text()) for row in rows.all()]
+        assert cells[::2] == np.rint(kept.renderer["beauty"][y, x] * 255).tolist()
+        assert cells[1::2] == encoding.encode(kept.reference["beauty"][y, x]).tolist()
+    assert page.complaints == []
+    page.close()
+
+
+def sign_of(kept: Any, x: int, y: int) -> float:
+    """Whether the byte that is off most stands for more than the colour that it should."""
+    encoding = kept.encodings[0]
+    a, b = np.rint(kept.renderer["beauty"][y, x] * 255), kept.reference["beauty"][y, x]
+    channel = int(encoding.distance(a, b).argmax())
+    return math.copysign(1, a[channel] - encoding.encode(b)[channel])
+
+
+def test_levels_are_those_of_the_encodings(page: Any) -> None:
+    colors = [
+        -1.0,
+        0.0,
+        0.5 / 255,
+        1e-9,
+        1.0,
+        7.0,
+        *np.random.default_rng(0).random(2000).tolist(),
+        *(np.arange(255) / 255),
+    ]
+    for name, steps in itertools.product(QUANTISATIONS, (255, 1000)):
+        encoding = Encoding(name, steps)
+        found = page.evaluate(
+            """async ([colors, encoding]) => {
+                const { levels } = await import("viewer/inspector.js");
+                return colors.map(color => levels(color, encoding));
+            }""",
+            [list(map(float, colors)), {"quantisation": name, "steps": steps, "says": ""}],
+        )
+        either = encoding.either(np.array(colors))
+        assert [few[0] for few in found] == encoding.encode(np.array(colors)).tolist(), name
+        assert [{*few} | {few[0]} for few in found] == [
+            {*few}
+            for few in zip(encoding.encode(np.array(colors)).tolist(), *(one.tolist() for one in either), strict=True)
+        ], name
 
 
 def test_it_opens_at_what_is_worst_and_says_why(page: Any) -> None:
@@ -221,7 +389,8 @@ def test_programs_with_conventions_of_their_own_have_values_of_their_own(
     page = opened(browser, (tmp_path / "out" / "index.html").as_uri())
     assert names(page) == ["full.txt · center", "full.txt · corner"]
     loaded = tracer.load(scene)
-    for sample, command in zip(("center", "corner"), commands, strict=True):
+    samples: tuple[Sample, ...] = ("center", "corner")
+    for sample, command in zip(samples, commands, strict=True):
         drawn = tracer.render(loaded, ("beauty",), sample=sample)["beauty"]
         page.locator("#v-scenes button", has_text=sample).click()
         settled(page, **{"as": sample, "a": f"cmd:{command}"})

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tracer.passes import MARGINS, TABLE
+from validation import encoding
 from validation.records import json_value
 from validation.renderers import Settings
 from validation.report import floats
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from tracer.passes import Passes
     from validation.compare import Maps
+    from validation.encoding import Encoding
     from validation.report.verdicts import Row, VerdictsView
     from validation.run import Rendered
 
@@ -79,6 +81,7 @@ class Drawn:
     name: str
     precision: str
     stored: dict[str, floats.Stored] = field(default_factory=dict)
+    encoding: Encoding | None = None  # of its `beauty`
     exact: Json = field(default_factory=dict)  # by pixel and pass the float64 values of those that are looked at most
 
 
@@ -95,12 +98,15 @@ class SceneData:
     closed: bool = False
     pairs: list[Json] = field(default_factory=list)
     truths: Json = field(default_factory=dict)
+    signed: dict[str, str] = field(default_factory=dict)  # errors of pairs of which one side is levels
 
     def stored(self, tier: int) -> dict[str, str]:
         """Blocks of text by id. 0: what every picture needs; 1: how float64 renderers differ; 2: their last digits."""
         found: dict[str, str] = {}
         if tier == 0 and self.margins:
             found[f"m{self.key}"] = self.margins
+        if tier == 0:
+            found |= {pair["signed"]: self.signed[pair["signed"]] for pair in self.pairs if pair["signed"]}
         for place, drawn in enumerate(self.drawn):
             for name, stored in drawn.stored.items():
                 if tier == 0:
@@ -136,8 +142,13 @@ class Data:
         scene = self._scenes[place]
         first = rendered.comparisons[0]
         sides = [
-            self._draw(scene, name, passes)
-            for name, passes in ((first.renderer, rendered.renderer), (first.reference, rendered.reference))
+            self._draw(scene, name, passes, encoding)
+            for name, passes, encoding in zip(
+                (first.renderer, first.reference),
+                (rendered.renderer, rendered.reference),
+                rendered.encodings,
+                strict=True,
+            )
         ]
         rows = verdicts.rows if verdicts else []
         looked_at = {(row.verdict.x, row.verdict.y) for row in rows}
@@ -154,6 +165,7 @@ class Data:
                 "b": sides[1],
                 "anchor": anchor,
                 "ok": ok,
+                "signed": self._signed(scene, rendered),
                 "passes": {
                     c.pass_name: {
                         **{key: value for key, value in c.record().items() if key not in LEFT_OUT},
@@ -189,13 +201,29 @@ class Data:
             data.margins = floats.store_margins(analysis.margins)
         return data
 
-    def _draw(self, scene: SceneData, name: str, passes: Passes) -> int:
+    def _signed(self, scene: SceneData, rendered: Rendered) -> str:
+        """The block with the error of `beauty` that was measured, positive where A is larger; "": there is none.
+
+        Of levels the viewer cannot tell it: how far a colour is from those that a level stands for.
+        """
+        found = next((c.maps for c in rendered.comparisons if c.pass_name == "beauty"), None)
+        if found is None or self.small or not any(rendered.encodings):
+            return ""
+        a, b = (np.asarray(side["beauty"], np.float64) for side in (rendered.renderer, rendered.reference))
+        apart = encoding.difference(a, b, rendered.encodings)
+        largest = np.where(np.isnan(apart), np.inf, apart).argmax(axis=-1)[..., None]
+        sign = np.take_along_axis(encoding.signs(a, b, rendered.encodings), largest, axis=-1)[..., 0]
+        key = f"e{scene.key}-{len(scene.pairs)}"
+        scene.signed[key] = floats.store_plane(np.where(found.error == 0, 0.0, sign * found.error))
+        return key
+
+    def _draw(self, scene: SceneData, name: str, passes: Passes, encoding: Encoding | None) -> int:
         """The place of a renderer among those of the scene; what it drew is stored the first time."""
         for place, drawn in enumerate(scene.drawn):
             if drawn.name == name:
                 return place
         precision = "f64" if any(array.dtype == np.float64 for array in passes.values()) else "f32"
-        drawn = Drawn(name, precision)
+        drawn = Drawn(name, precision, encoding=encoding)
         if not self.small:
             drawn.stored, own = floats.store(passes, scene.source, scene.guide)
             # Of a scene that comes again after others the first renderer's arrays are gone.
@@ -276,6 +304,12 @@ class Data:
                 {
                     "name": drawn.name,
                     "precision": drawn.precision,
+                    "encoding": drawn.encoding
+                    and {
+                        "quantisation": drawn.encoding.quantisation,
+                        "steps": drawn.encoding.steps,
+                        "says": drawn.encoding.says,
+                    },
                     "passes": {
                         name: {
                             "channels": stored.channels,

@@ -187,6 +187,13 @@ def store_margins(margins: Mapping[str, NDArray[Any]]) -> str:
         return pack(order - _planar(order))
 
 
+def store_plane(values: Floats) -> str:
+    """One number a pixel, as float32."""
+    with np.errstate(over="ignore"):
+        order = ordered(values.astype(np.float32))[None]
+        return pack(order - _planar(order))
+
+
 def store_bytes(flags: NDArray[np.uint8]) -> str:
     """Bytes, as they are."""
     return _text(flags.tobytes())

@@ -170,6 +170,22 @@ export async function flags(scene, comparison) {
 }
 
 /**
+ * The errors of `beauty` that a comparison with levels measured, positive where its A is larger.
+ * @param {SceneEntry} scene
+ * @param {Pair | undefined} pair
+ * @returns {Promise<Float32Array | null>}
+ */
+export async function signedErrors(scene, pair) {
+  if (!scene.floats || !pair?.signed) return null;
+  return once(scene, pair.signed, async () => {
+    const [columns, rows] = scene.size;
+    const order = unpack(await block(pair.signed), columns * rows);
+    addPlanar(order, 1, columns, rows);
+    return new Float32Array(swapOrder(order).buffer);
+  });
+}
+
+/**
  * The margins of a scene, kind after kind.
  * @param {SceneEntry} scene
  * @returns {Promise<Float32Array | null>}

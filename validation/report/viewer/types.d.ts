@@ -13,8 +13,17 @@ interface StoredPass {
   rest: boolean;
 }
 
+/** How the levels of an image stand for colours. */
+interface Encoding {
+  quantisation: string;
+  steps: number;
+  says: string;
+}
+
 interface RendererEntry {
   name: string;
+  /** Of its `beauty`; null: it holds colours. */
+  encoding: Encoding | null;
   precision: "f64" | "f32";
   passes: Record<string, StoredPass>;
   exact: Record<string, Record<string, Num[]>>;
@@ -71,6 +80,8 @@ interface Pair {
   b: number;
   anchor: string;
   ok: boolean;
+  /** The block with the errors of `beauty` that were measured, where A or B is levels; else empty. */
+  signed: string;
   passes: Record<string, Comparison>;
   differ: number;
   verdicts: Verdict[];
