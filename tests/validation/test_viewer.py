@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -720,6 +720,64 @@ def test_without_a_script_the_report_is_there(browser: Any, address: str) -> Non
     assert page.locator("#report table.summary").first.is_visible()
     assert page.locator("#report details.pass[open] img").first.is_visible()
     context.close()
+
+
+def test_an_image_of_another_size_is_not_shown_as_one_of_this(browser: Any, tmp_path: Path) -> None:
+    def half(scene: tracer.Scene, passes: Sequence[str], settings: Settings) -> tracer.Passes:
+        view = scene.view
+        smaller = scene.replace(view=view.replace(columns=view.columns // 2, rows=view.rows // 2))
+        return doubles.faithful(smaller, passes, settings)
+
+    report = Report()
+    result = validate({"full.txt": doubles.full()}, [Double(draw=half)], "numpy-f64", on_rendered=report.add)
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    assert "differs" in page.locator("#v-state").inner_text()
+    whole(page)
+    assert page.locator('td.value[data-renderer="double"]').count() == 0
+    for key, mode in MODES.items():
+        page.keyboard.press(key)
+        settled(page, mode=mode)
+    page.keyboard.press("b")
+    settled(page, mode="side")
+    assert "double has no beauty" in page.locator("#v-how").inner_text()
+    assert colors(page) < 5, "nothing but what shines through"
+    assert colors(page, 1) > 20
+    page.locator("#v-stage").focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("document.getElementById('v-values').dataset.at")
+    x, y = map(int, page.locator("#v-values").get_attribute("data-at").split(","))
+    drawn = Reference("f64").render(doubles.full(), ("beauty",), Settings())["beauty"]
+    assert [*values(page, "numpy-f64", "beauty").values()] == drawn[y, x].tolist()
+    assert page.complaints == []
+    page.close()
+
+
+def test_of_what_truth_cannot_tell_the_inspector_says_so(browser: Any, tmp_path: Path) -> None:
+    def untold(rendered: Any) -> None:
+        verdicts = rendered.verdicts
+        last = verdicts.verdicts.pop()
+        verdicts.unproved.append((last.x, last.y))
+        report.add(rendered)
+
+    report = Report()
+    result = validate({"full.txt": doubles.full()}, [Double(draw=with_arrays(dented))], "numpy-f64", on_rendered=untold)
+    x, y = result.verdicts[0].unproved[0]
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    whole(page)
+    link = re.sub("&at=[^&]*", "", page.locator("#v-stage").get_attribute("data-ready"))
+    page.evaluate("hash => { location.hash = hash }", f"{link}&at={x},{y}")
+    page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+    assert "could not be had" in page.locator("#v-values .verdict").inner_text()
+    # In the list it counts with those that nothing explains.
+    count = len(result.verdicts[0].verdicts) + 1
+    found = page.evaluate(
+        """async () => {
+            const [{ result }, { run }] = await Promise.all([import("viewer/list.js"), import("viewer/data.js")]);
+            return result(run.scenes[0], "", "").wrong;
+        }"""
+    )
+    assert found == count
+    page.close()
 
 
 def test_a_small_report_has_pictures_alone_and_says_so(browser: Any, tmp_path: Path) -> None:

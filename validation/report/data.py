@@ -79,7 +79,6 @@ class Drawn:
     """One renderer on one scene: its passes, compressed."""
 
     name: str
-    precision: str
     stored: dict[str, floats.Stored] = field(default_factory=dict)
     encoding: Encoding | None = None  # of its `beauty`
     exact: Json = field(default_factory=dict)  # by pixel and pass the float64 values of those that are looked at most
@@ -90,6 +89,7 @@ class SceneData:
     """One scene at one size with the same settings, and every pair that drew it."""
 
     key: str
+    size: tuple[int, int]
     entry: Json
     guide: floats.Guide
     margins: str = ""
@@ -196,7 +196,7 @@ class Data:
             "surfaces": guide.spheres,
             "margins": list(analysis.margins) if analysis and not self.small else [],
         }
-        data = SceneData(key, entry, guide)
+        data = SceneData(key, size, entry, guide)
         if analysis and not self.small:
             data.margins = floats.store_margins(analysis.margins)
         return data
@@ -222,10 +222,12 @@ class Data:
         for place, drawn in enumerate(scene.drawn):
             if drawn.name == name:
                 return place
-        precision = "f64" if any(array.dtype == np.float64 for array in passes.values()) else "f32"
-        drawn = Drawn(name, precision, encoding=encoding)
+        drawn = Drawn(name, encoding=encoding)
         if not self.small:
-            drawn.stored, own = floats.store(passes, scene.source, scene.guide)
+            # The viewer knows one size: a pass of another was not compared either.
+            shape = scene.size[1], scene.size[0]
+            fitting = {key: array for key, array in passes.items() if array.shape[:2] == shape}
+            drawn.stored, own = floats.store(fitting, scene.source, scene.guide)
             # Of a scene that comes again after others the first renderer's arrays are gone.
             scene.source = None if scene.closed else scene.source or own
         scene.drawn.append(drawn)
@@ -303,7 +305,6 @@ class Data:
             "renderers": [
                 {
                     "name": drawn.name,
-                    "precision": drawn.precision,
                     "encoding": drawn.encoding
                     and {
                         "quantisation": drawn.encoding.quantisation,
@@ -347,12 +348,10 @@ def _verdict(row: Row, rendered: Rendered) -> Json:
     return {
         "x": verdict.x,
         "y": verdict.y,
-        "mark": row.mark,
         "edge": verdict.edge,
         "passes": list(verdict.passes),
         "tolerances": tolerances,
         "explained": verdict.explained,
-        "row": row.anchor,
         "findings": [
             {
                 "renderer": finding.renderer,

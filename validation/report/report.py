@@ -304,7 +304,7 @@ class Report:
         for scene in self._scenes:
             scene.variant = variants[scene.anchor]
         record, blocks = self._data.page(
-            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
+            {"command": shlex.join(result.command), "versions": result.versions},
             {scene.anchor for scene in self._finished},
         )
         page = environment.get_template("report.html.j2").render(

@@ -292,6 +292,8 @@ function verdicts(seen) {
     const letters = found?.turned ? ["B", "A"] : ["A", "B"];
     const said = own.findings.map((finding, side) => sentence(finding, letters[side])).join("");
     text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}${allowed(own)}</section>`;
+  } else if (found?.pair.unproved.some(([x, y]) => x === pixel[0] && y === pixel[1])) {
+    text += '<section class="verdict alarm"><h3>No verdict</h3><p>The exact value of this pixel could not be had, so nobody knows which of the two is off.</p></section>';
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? `not among the pixels judged in this run. ${nearest(state, found.pair, pixel)} The command below judges this one` : "no pixel was judged";
     text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(state, found.pair)}`;

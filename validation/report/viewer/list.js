@@ -50,6 +50,7 @@ export function result(scene, onlyPass, onlyRenderer) {
       if (!verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) wrong.add(`${verdict.x},${verdict.y}`);
       else if (verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) excused.add(`${verdict.x},${verdict.y}`);
     }
+    if (!onlyPass) for (const pixel of pair.unproved) wrong.add(pixel.join());
   }
   found.wrong = wrong.size;
   found.excused = excused.size;

@@ -148,7 +148,8 @@ async function pictureOf(key) {
   if (!loaded.has(key)) image.src = pictureAddress(key);
   loaded.set(key, image);
   await image.decode().catch(() => undefined);
-  return image;
+  // What no picture is, a canvas refuses to draw.
+  return image.naturalWidth ? image : null;
 }
 
 /** What is drawn of the pictures of one comparison; made again only when one of these changes. */

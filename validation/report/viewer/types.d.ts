@@ -24,7 +24,6 @@ interface RendererEntry {
   name: string;
   /** Of its `beauty`; null: it holds colours. */
   encoding: Encoding | null;
-  precision: "f64" | "f32";
   passes: Record<string, StoredPass>;
   exact: Record<string, Record<string, Num[]>>;
 }
@@ -65,13 +64,11 @@ interface Finding {
 interface Verdict {
   x: number;
   y: number;
-  mark: Mark;
   edge: boolean;
   passes: string[];
   /** By pass what A and B may differ by here. */
   tolerances: Record<string, Num>;
   explained: boolean;
-  row: string;
   findings: [Finding, Finding];
 }
 
@@ -85,6 +82,7 @@ interface Pair {
   passes: Record<string, Comparison>;
   differ: number;
   verdicts: Verdict[];
+  /** Pixels that truth could not be had of. */
   unproved: [number, number][];
 }
 
@@ -115,8 +113,6 @@ interface PassRow {
 }
 
 interface Run {
-  headline: string;
-  ok: boolean;
   command: string;
   versions: Record<string, string>;
   small: boolean;
