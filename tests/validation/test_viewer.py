@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 import sys
+import urllib.parse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from validation import Settings, validate
 from validation.check import Convention, Picture, check
 from validation.cli import main
 from validation.encoding import QUANTISATIONS, Encoding
+from validation.renderers.native import Native
 from validation.renderers.numpy import Reference
 from validation.report.report import Report
 
@@ -213,8 +215,14 @@ def test_of_bytes_the_error_that_was_measured_is_shown(browser: Any, tmp_path: P
         assert color_at(page, 30, 20) == pytest.approx(expected, abs=2)
         for x, y in ((31, 20), (5, 40), (30, 9)):
             assert color_at(page, x, y) == [0, 0, 0]
+    page.keyboard.press("x")
+    settled(page, mode="diff", b="image")
+    expected = expected_color(page, -sign_of(kept, 30, 20) * maps.error[20, 30], scale, signed=True)
+    assert color_at(page, 30, 20) == pytest.approx(expected, abs=2)
+    assert "B is bytes" in page.locator("#v-how").inner_text()
+    page.keyboard.press("x")
     page.keyboard.press("b")
-    settled(page, mode="side", at="")
+    settled(page, mode="side", at="", b="native-f64")
     assert f"A is bytes: {QUANTISATIONS[quantisation]}" in page.locator("#v-how").inner_text()
     # The 8-bit column: the program's own byte, and what the other colour becomes by its rule.
     page.locator("#v-stage").focus()
@@ -409,6 +417,44 @@ def test_programs_with_conventions_of_their_own_have_values_of_their_own(
     page.locator("#v-summary-open").click()
     heads = [head.inner_text() for head in page.locator("#v-matrix th[scope=rowgroup]").all()]
     assert heads == ["full.txt · center", "full.txt · corner"]
+    assert page.complaints == []
+    page.close()
+
+
+def test_one_pair_with_several_settings_is_several_scenes(browser: Any, tmp_path: Path) -> None:
+    report = Report()
+    every = [
+        Settings(),
+        Settings(shadow_epsilon=1e-2),
+        Settings(sample="center", max_reflections=0),
+        Settings(threads=2),
+    ]
+    result: Any = None
+    for settings in every:
+        double = Double(draw=with_arrays(dented))
+        options: Any = {"passes": ("beauty",), "verdicts": 1, "settings": settings, "on_rendered": report.add}
+        one = validate({"full.txt": doubles.full()}, [double], "native-f64", **options)
+        result = result or one
+        result.comparisons += one.comparisons
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    variants = ["corner", "corner, epsilon 0.01", "center, reflections 0"]
+    assert names(page) == [f"full.txt · {variant}" for variant in variants]
+    # Those of the report in plain words lead there, too.
+    links = page.evaluate("[...document.querySelectorAll('#report a.viewed')].map(link => link.getAttribute('href'))")
+    assert len(links) >= 3
+    found = []
+    for link in dict.fromkeys(links):
+        page.evaluate("hash => { location.hash = hash }", link)
+        told = dict(urllib.parse.parse_qsl(link[2:]))
+        settled(page, **{key: told[key] for key in ("as", "at", "a", "b")})
+        found.append(told["as"])
+        x, y = map(int, told["at"].split(","))
+        whole(page)
+        page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=told["at"])
+        page.wait_for_function("!document.querySelector('#v-values').innerText.includes('…')")
+        drawn = Native("f64").render(doubles.full(), ("beauty",), every[variants.index(told["as"])])["beauty"]
+        assert [*values(page, "native-f64", "beauty").values()] == drawn[y, x].tolist()
+    assert {*found} == {*variants}
     assert page.complaints == []
     page.close()
 
