@@ -179,6 +179,16 @@ def difference(a: Array, b: Array, encodings: Encodings) -> Array:
     return apart
 
 
+def signs(a: Array, b: Array, encodings: Encodings) -> Array:
+    """Which of two colours is larger where they are apart, of which one side or both are levels over their steps."""
+    (a_low, _), (b_low, _) = (
+        of.interval(_levels(values, of)) if of else (values, values)
+        for values, of in zip((a, b), encodings, strict=True)
+    )
+    larger: Array = np.where(a_low > b_low, 1.0, -1.0)
+    return larger
+
+
 def shown(a: Array, b: Array, encodings: Encodings) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both as bytes: what holds colours encoded as the other side is."""
     first, second = encodings

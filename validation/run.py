@@ -26,7 +26,7 @@ from tracer.near import near
 from tracer.passes import TABLE, Passes, lookup, names
 from validation import pairs, records, renderers
 from validation.compare import Comparison, Judge, compare_passes, without_maps
-from validation.encoding import Encoding
+from validation.encoding import Encoding, Encodings
 from validation.records import Record
 from validation.renderers import Renderer, Settings, Uncertainty
 from validation.timing import TimeLeft
@@ -78,6 +78,8 @@ class Rendered:
     comparisons: Sequence[Comparison]
     verdicts: Verdicts | None = None
     analysis: Analysis | None = None
+    #: How the levels of either one's `beauty` stand for colours; None: it holds colours.
+    encodings: Encodings = (None, None)
 
     @property
     def convention(self) -> str:
@@ -747,7 +749,8 @@ def _compare(
     if judged:
         result.verdicts.append(judged)
     if on_rendered:
-        on_rendered(Rendered(scene, label, settings, a, b, found, judged if verdicts.most else None, analysis))
+        shown = judged if verdicts.most else None
+        on_rendered(Rendered(scene, label, settings, a, b, found, shown, analysis, encodings))
     result.comparisons += [without_maps(comparison) for comparison in found]
 
 

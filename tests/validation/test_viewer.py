@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
-from collections.abc import Iterator
+import sys
+import urllib.parse
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +17,12 @@ import pytest
 from doubles import Double, with_arrays
 
 import tracer
+from tracer.passes import Sample
 from validation import Settings, validate
+from validation.check import Convention, Picture, check
 from validation.cli import main
+from validation.encoding import QUANTISATIONS, Encoding
+from validation.renderers.native import Native
 from validation.renderers.numpy import Reference
 from validation.report import floats
 from validation.report.report import Report
@@ -99,6 +107,175 @@ def colors(page: Any, canvas: int = 0) -> int:
         canvas,
     )
     return count
+
+
+def into(report: Report, kept: list[Any]) -> Callable[[Any], None]:
+    """What was drawn goes to both."""
+
+    def both(rendered: Any) -> None:
+        kept.append(rendered)
+        report.add(rendered)
+
+    return both
+
+
+def color_at(page: Any, x: int, y: int) -> list[int]:
+    """The colour of a pixel of the scene, in the only canvas, where all of it is in sight."""
+    found: list[int] = page.evaluate(
+        """([x, y]) => {
+            const canvas = document.querySelector(".stage canvas");
+            const shown = new URLSearchParams(document.getElementById("v-stage").dataset.ready.slice(2));
+            const [columns, rows] = shown.get("size").split("x").map(Number);
+            const { width, height } = canvas;
+            const scale = parseFloat(document.getElementById("v-zoom").textContent) * width / canvas.clientWidth;
+            const copy = Object.assign(document.createElement("canvas"), { width, height });
+            const context = copy.getContext("2d", { willReadFrequently: true });
+            context.drawImage(canvas, 0, 0);
+            const at = [width / 2 + (x + 0.5 - columns / 2) * scale, height / 2 + (y + 0.5 - rows / 2) * scale];
+            return [...context.getImageData(Math.floor(at[0]), Math.floor(at[1]), 1, 1).data.slice(0, 3)];
+        }""",
+        [x, y],
+    )
+    return found
+
+
+def scale_of(errors: Any, edge: Any) -> tuple[int, int]:
+    """The exponents between which errors are shown: at most six factors of ten below the largest of the interior."""
+    inside = errors[(errors > 0) & ~edge]
+    top = math.ceil(math.log10(inside.max()))
+    return max(top - 6, min(math.floor(math.log10(inside.min())), top - 1)), top
+
+
+def expected_color(page: Any, value: float, scale: tuple[int, int], *, signed: bool) -> list[float]:
+    """That of the scale of errors, or of signed differences."""
+    if value == 0:
+        return [0, 0, 0]
+    share = (math.log10(abs(value)) - scale[0]) / (scale[1] - scale[0])
+    share = math.copysign(max(0.02, min(1, share)), value) if signed else min(1, share)
+    found: list[float] = page.evaluate(
+        "async ([name, share]) => (await import('viewer/colors.js'))[name](share)",
+        ["signed" if signed else "inferno", share],
+    )
+    return found
+
+
+def test_errors_and_signs_have_the_colors_of_their_decades(browser: Any, tmp_path: Path) -> None:
+    report = Report()
+    double = Double(draw=with_arrays(dented))
+    kept: list[Any] = []
+    result = validate({"full.txt": doubles.full()}, [double], "numpy-f64", on_rendered=into(report, kept))
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    maps = next(one.maps for one in kept[0].comparisons if one.pass_name == "beauty")
+    apart = kept[0].renderer["beauty"] - kept[0].reference["beauty"]
+    signed = np.take_along_axis(apart, np.abs(apart).argmax(axis=-1)[..., None], axis=-1)[..., 0]
+    assert np.abs(signed) == pytest.approx(maps.error)
+    scale = scale_of(maps.error, maps.edge)
+    page.keyboard.press("Escape")
+    for key, mode, values in (("h", "heat", maps.error), ("d", "diff", signed)):
+        page.keyboard.press(key)
+        settled(page, mode=mode, at="")
+        for x, y in ((30, 20), (12, 21), (19, 21)):
+            expected = expected_color(page, values[y, x], scale, signed=mode == "diff")
+            assert color_at(page, x, y) == pytest.approx(expected, abs=2), (mode, x, y)
+        assert color_at(page, 2, 2) == [0, 0, 0], "far below all decades"
+    page.keyboard.press("x")
+    settled(page, mode="diff", a="numpy-f64")
+    assert color_at(page, 30, 20) == pytest.approx(expected_color(page, -signed[20, 30], scale, signed=True), abs=2)
+    assert page.complaints == []
+    page.close()
+
+
+def checked(folder: Path, convention: Convention, *, wrong: int = 0) -> tuple[str, Any]:
+    """The report of an image made by that convention, and what was drawn; one pixel is off by so many levels."""
+    scene = doubles.full()
+    colors = tracer.render(scene, ("beauty",), sample=convention.sample)["beauty"]
+    levels = convention.encoding().encode(colors)
+    levels[20, 30] += np.where(levels[20, 30] > 127, -wrong, wrong)
+    report = Report()
+    kept: list[Any] = []
+    result = check([Picture("full.txt", scene, levels)], on_rendered=into(report, kept)).validation
+    return report.write(folder, result).as_uri(), kept[0]
+
+
+@pytest.mark.parametrize("quantisation", ["srgb", "round"])
+def test_of_bytes_the_error_that_was_measured_is_shown(browser: Any, tmp_path: Path, quantisation: str) -> None:
+    address, kept = checked(tmp_path, Convention("center", quantisation=quantisation), wrong=40)
+    maps = kept.comparisons[0].maps
+    assert (maps.error > 0).sum() == 1
+    page = opened(browser, address)
+    page.keyboard.press("Escape")
+    scale = scale_of(maps.error, maps.edge)
+    for key, mode in (("h", "heat"), ("d", "diff")):
+        page.keyboard.press(key)
+        settled(page, mode=mode, at="")
+        how = page.locator("#v-how").inner_text()
+        assert f"A is bytes: {QUANTISATIONS[quantisation]}" in how
+        assert "black: the right level" in how
+        sign = sign_of(kept, 30, 20) if mode == "diff" else 1
+        expected = expected_color(page, sign * maps.error[20, 30], scale, signed=mode == "diff")
+        assert color_at(page, 30, 20) == pytest.approx(expected, abs=2)
+        for x, y in ((31, 20), (5, 40), (30, 9)):
+            assert color_at(page, x, y) == [0, 0, 0]
+    page.keyboard.press("x")
+    settled(page, mode="diff", b="image")
+    expected = expected_color(page, -sign_of(kept, 30, 20) * maps.error[20, 30], scale, signed=True)
+    assert color_at(page, 30, 20) == pytest.approx(expected, abs=2)
+    assert "B is bytes" in page.locator("#v-how").inner_text()
+    page.keyboard.press("x")
+    page.keyboard.press("b")
+    settled(page, mode="side", at="", b="native-f64")
+    assert f"A is bytes: {QUANTISATIONS[quantisation]}" in page.locator("#v-how").inner_text()
+    # The 8-bit column: the program's own byte, and what the other colour becomes by its rule.
+    page.locator("#v-stage").focus()
+    shown = page.locator("#v-stage").get_attribute("data-ready")
+    encoding = Convention(quantisation=quantisation).encoding()
+    for x, y in ((5, 40), (30, 20), (30, 9)):
+        page.evaluate("hash => { location.hash = hash }", re.sub("&at=[^&]*", "", shown) + f"&at={x},{y}")
+        page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+        whole(page)
+        page.wait_for_function("!document.querySelector('#v-values').innerText.includes('…')")
+        rows = page.locator("#v-values table.values").first.locator("tbody tr.pair")
+        cells = [int(row.locator("td").last.inner_text()) for row in rows.all()]
+        assert cells[::2] == np.rint(kept.renderer["beauty"][y, x] * 255).tolist()
+        assert cells[1::2] == encoding.encode(kept.reference["beauty"][y, x]).tolist()
+    assert page.complaints == []
+    page.close()
+
+
+def sign_of(kept: Any, x: int, y: int) -> float:
+    """Whether the byte that is off most stands for more than the colour that it should."""
+    encoding = kept.encodings[0]
+    a, b = np.rint(kept.renderer["beauty"][y, x] * 255), kept.reference["beauty"][y, x]
+    channel = int(encoding.distance(a, b).argmax())
+    return math.copysign(1, a[channel] - encoding.encode(b)[channel])
+
+
+def test_levels_are_those_of_the_encodings(page: Any) -> None:
+    colors = [
+        -1.0,
+        0.0,
+        0.5 / 255,
+        1e-9,
+        1.0,
+        7.0,
+        *np.random.default_rng(0).random(2000).tolist(),
+        *(np.arange(255) / 255),
+    ]
+    for name, steps in itertools.product(QUANTISATIONS, (255, 1000)):
+        encoding = Encoding(name, steps)
+        found = page.evaluate(
+            """async ([colors, encoding]) => {
+                const { levels } = await import("viewer/inspector.js");
+                return colors.map(color => levels(color, encoding));
+            }""",
+            [list(map(float, colors)), {"quantisation": name, "steps": steps, "says": ""}],
+        )
+        either = encoding.either(np.array(colors))
+        assert [few[0] for few in found] == encoding.encode(np.array(colors)).tolist(), name
+        assert [{*few} | {few[0]} for few in found] == [
+            {*few}
+            for few in zip(encoding.encode(np.array(colors)).tolist(), *(one.tolist() for one in either), strict=True)
+        ], name
 
 
 def test_it_opens_at_what_is_worst_and_says_why(page: Any) -> None:
@@ -205,6 +382,80 @@ def test_the_inspector_shows_the_values_of_the_arrays(browser: Any, tmp_path: Pa
                 if passes[name].dtype == np.float32:
                     shown = {channel: float(np.float32(value)) for channel, value in shown.items()}
                 assert [*shown.values()] == expected, (x, y, renderer, name)
+    assert page.complaints == []
+    page.close()
+
+
+def test_programs_with_conventions_of_their_own_have_values_of_their_own(
+    browser: Any, tmp_path: Path, scene: Path
+) -> None:
+    raytrace = Path(sys.executable).parent / "raytrace"
+    commands = [f"{raytrace} {{scene}} -o {{output}}{more}" for more in (" --sample center", "")]
+    words = [word for command in commands for word in ("--command", command)]
+    with pytest.raises(SystemExit) as status:
+        main(["check", str(scene), *words, "--report", str(tmp_path / "out")])
+    assert status.value.code == 0
+    page = opened(browser, (tmp_path / "out" / "index.html").as_uri())
+    assert names(page) == ["full.txt · center", "full.txt · corner"]
+    loaded = tracer.load(scene)
+    samples: tuple[Sample, ...] = ("center", "corner")
+    for sample, command in zip(samples, commands, strict=True):
+        drawn = tracer.render(loaded, ("beauty",), sample=sample)["beauty"]
+        page.locator("#v-scenes button", has_text=sample).click()
+        settled(page, **{"as": sample, "a": f"cmd:{command}"})
+        shown = page.locator("#v-stage").get_attribute("data-ready")
+        for x, y in ((30, 9), (20, 20), (5, 40)):
+            link = re.sub("&at=[^&]*", "", shown) + f"&at={x},{y}"
+            page.evaluate("hash => { location.hash = hash }", link)
+            page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+            settled(page, **{"as": sample, "at": f"{x},{y}"})
+            whole(page)
+            assert [*values(page, "native-f64", "beauty").values()] == drawn[y, x].tolist()
+            levels = np.trunc(drawn[y, x].clip(0, 1) * 255) / 255
+            assert [*values(page, f"cmd:{command}", "beauty").values()] == pytest.approx(levels.tolist(), abs=1e-7)
+            said = page.locator("#v-command").inner_text()
+            assert ("--sample center" in said.split(" --renderer ")[-1].split("'")[-1]) == (sample == "center")
+    page.locator("#v-summary-open").click()
+    heads = [head.inner_text() for head in page.locator("#v-matrix th[scope=rowgroup]").all()]
+    assert heads == ["full.txt · center", "full.txt · corner"]
+    assert page.complaints == []
+    page.close()
+
+
+def test_one_pair_with_several_settings_is_several_scenes(browser: Any, tmp_path: Path) -> None:
+    report = Report()
+    every = [
+        Settings(),
+        Settings(shadow_epsilon=1e-2),
+        Settings(sample="center", max_reflections=0),
+        Settings(threads=2),
+    ]
+    result: Any = None
+    for settings in every:
+        double = Double(draw=with_arrays(dented))
+        options: Any = {"passes": ("beauty",), "verdicts": 1, "settings": settings, "on_rendered": report.add}
+        one = validate({"full.txt": doubles.full()}, [double], "native-f64", **options)
+        result = result or one
+        result.comparisons += one.comparisons
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    variants = ["corner", "corner, epsilon 0.01", "center, reflections 0"]
+    assert names(page) == [f"full.txt · {variant}" for variant in variants]
+    # Those of the report in plain words lead there, too.
+    links = page.evaluate("[...document.querySelectorAll('#report a.viewed')].map(link => link.getAttribute('href'))")
+    assert len(links) >= 3
+    found = []
+    for link in dict.fromkeys(links):
+        page.evaluate("hash => { location.hash = hash }", link)
+        told = dict(urllib.parse.parse_qsl(link[2:]))
+        settled(page, **{key: told[key] for key in ("as", "at", "a", "b")})
+        found.append(told["as"])
+        x, y = map(int, told["at"].split(","))
+        whole(page)
+        page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=told["at"])
+        page.wait_for_function("!document.querySelector('#v-values').innerText.includes('…')")
+        drawn = Native("f64").render(doubles.full(), ("beauty",), every[variants.index(told["as"])])["beauty"]
+        assert [*values(page, "native-f64", "beauty").values()] == drawn[y, x].tolist()
+    assert {*found} == {*variants}
     assert page.complaints == []
     page.close()
 
@@ -516,6 +767,64 @@ def test_without_a_script_the_report_is_there(browser: Any, address: str) -> Non
     assert page.locator("#report table.summary").first.is_visible()
     assert page.locator("#report details.pass[open] img").first.is_visible()
     context.close()
+
+
+def test_an_image_of_another_size_is_not_shown_as_one_of_this(browser: Any, tmp_path: Path) -> None:
+    def half(scene: tracer.Scene, passes: Sequence[str], settings: Settings) -> tracer.Passes:
+        view = scene.view
+        smaller = scene.replace(view=view.replace(columns=view.columns // 2, rows=view.rows // 2))
+        return doubles.faithful(smaller, passes, settings)
+
+    report = Report()
+    result = validate({"full.txt": doubles.full()}, [Double(draw=half)], "numpy-f64", on_rendered=report.add)
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    assert "differs" in page.locator("#v-state").inner_text()
+    whole(page)
+    assert page.locator('td.value[data-renderer="double"]').count() == 0
+    for key, mode in MODES.items():
+        page.keyboard.press(key)
+        settled(page, mode=mode)
+    page.keyboard.press("b")
+    settled(page, mode="side")
+    assert "double has no beauty" in page.locator("#v-how").inner_text()
+    assert colors(page) < 5, "nothing but what shines through"
+    assert colors(page, 1) > 20
+    page.locator("#v-stage").focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("document.getElementById('v-values').dataset.at")
+    x, y = map(int, page.locator("#v-values").get_attribute("data-at").split(","))
+    drawn = Reference("f64").render(doubles.full(), ("beauty",), Settings())["beauty"]
+    assert [*values(page, "numpy-f64", "beauty").values()] == drawn[y, x].tolist()
+    assert page.complaints == []
+    page.close()
+
+
+def test_of_what_truth_cannot_tell_the_inspector_says_so(browser: Any, tmp_path: Path) -> None:
+    def untold(rendered: Any) -> None:
+        verdicts = rendered.verdicts
+        last = verdicts.verdicts.pop()
+        verdicts.unproved.append((last.x, last.y))
+        report.add(rendered)
+
+    report = Report()
+    result = validate({"full.txt": doubles.full()}, [Double(draw=with_arrays(dented))], "numpy-f64", on_rendered=untold)
+    x, y = result.verdicts[0].unproved[0]
+    page = opened(browser, report.write(tmp_path, result).as_uri())
+    whole(page)
+    link = re.sub("&at=[^&]*", "", page.locator("#v-stage").get_attribute("data-ready"))
+    page.evaluate("hash => { location.hash = hash }", f"{link}&at={x},{y}")
+    page.wait_for_function("at => document.getElementById('v-values').dataset.at === at", arg=f"{x},{y}")
+    assert "could not be had" in page.locator("#v-values .verdict").inner_text()
+    # In the list it counts with those that nothing explains.
+    count = len(result.verdicts[0].verdicts) + 1
+    found = page.evaluate(
+        """async () => {
+            const [{ result }, { run }] = await Promise.all([import("viewer/list.js"), import("viewer/data.js")]);
+            return result(run.scenes[0], "", "").wrong;
+        }"""
+    )
+    assert found == count
+    page.close()
 
 
 def test_a_small_report_has_pictures_alone_and_says_so(browser: Any, tmp_path: Path) -> None:

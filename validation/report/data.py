@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import json
+import shlex
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tracer.passes import MARGINS, TABLE
+from validation import encoding
 from validation.records import json_value
+from validation.renderers import Settings
 from validation.report import floats
 from validation.report.verdicts import CAUSES
 from validation.run import explain_options
@@ -23,6 +28,7 @@ if TYPE_CHECKING:
 
     from tracer.passes import Passes
     from validation.compare import Maps
+    from validation.encoding import Encoding
     from validation.report.verdicts import Row, VerdictsView
     from validation.run import Rendered
 
@@ -38,21 +44,52 @@ VIEWER = Path(__file__).with_name("viewer")
 Json = dict[str, Any]
 
 
+class Place(NamedTuple):
+    """What has to be the same where renderers share values of a scene: one name draws the same then."""
+
+    label: str
+    size: tuple[int, int]
+    text: str
+    settings: Settings
+    convention: str
+
+    @classmethod
+    def of(cls, rendered: Rendered) -> Place:
+        """That of one pair."""
+        settings = replace(rendered.settings, threads=Settings.threads)
+        size = rendered.comparisons[0].size
+        return cls(rendered.label, size, rendered.scene.text(), settings, rendered.convention)
+
+    @property
+    def says(self) -> str:
+        """How it was drawn, in a few words: "center, round"."""
+        told, plain = self.settings, Settings()
+        words: list[str] = [told.sample]
+        if told.shadow_epsilon != plain.shadow_epsilon:
+            words.append(f"epsilon {told.shadow_epsilon:g}")
+        if told.max_reflections != plain.max_reflections:
+            words.append(f"reflections {told.max_reflections}")
+        # Of options such as `--quantisation round --flipped` what they say.
+        words += [word.removeprefix("--") for word in shlex.split(self.convention) if word != "--quantisation"]
+        return ", ".join(words)
+
+
 @dataclass
 class Drawn:
     """One renderer on one scene: its passes, compressed."""
 
     name: str
-    precision: str
     stored: dict[str, floats.Stored] = field(default_factory=dict)
+    encoding: Encoding | None = None  # of its `beauty`
     exact: Json = field(default_factory=dict)  # by pixel and pass the float64 values of those that are looked at most
 
 
 @dataclass
 class SceneData:
-    """One scene at one size, and every pair that drew it."""
+    """One scene at one size with the same settings, and every pair that drew it."""
 
     key: str
+    size: tuple[int, int]
     entry: Json
     guide: floats.Guide
     margins: str = ""
@@ -61,12 +98,15 @@ class SceneData:
     closed: bool = False
     pairs: list[Json] = field(default_factory=list)
     truths: Json = field(default_factory=dict)
+    signed: dict[str, str] = field(default_factory=dict)  # errors of pairs of which one side is levels
 
     def stored(self, tier: int) -> dict[str, str]:
         """Blocks of text by id. 0: what every picture needs; 1: how float64 renderers differ; 2: their last digits."""
         found: dict[str, str] = {}
         if tier == 0 and self.margins:
             found[f"m{self.key}"] = self.margins
+        if tier == 0:
+            found |= {pair["signed"]: self.signed[pair["signed"]] for pair in self.pairs if pair["signed"]}
         for place, drawn in enumerate(self.drawn):
             for name, stored in drawn.stored.items():
                 if tier == 0:
@@ -87,13 +127,13 @@ class Data:
     def __init__(self, *, small: bool = False) -> None:
         """Empty."""
         self.small = small
-        self._scenes: dict[tuple[str, tuple[int, int]], SceneData] = {}
+        self._scenes: dict[Place, SceneData] = {}
         self._flags: dict[str, str] = {}
 
     def add(self, rendered: Rendered, anchor: str, verdicts: VerdictsView | None, pictures: Json, *, ok: bool) -> None:
         """One more pair; `pictures`: by pass what the page shows of it."""
         size = rendered.comparisons[0].size
-        place = rendered.label, size
+        place = Place.of(rendered)
         if place not in self._scenes:
             # The arrays of the scene before are not needed any more.
             for other in self._scenes.values():
@@ -102,8 +142,13 @@ class Data:
         scene = self._scenes[place]
         first = rendered.comparisons[0]
         sides = [
-            self._draw(scene, name, passes)
-            for name, passes in ((first.renderer, rendered.renderer), (first.reference, rendered.reference))
+            self._draw(scene, name, passes, encoding)
+            for name, passes, encoding in zip(
+                (first.renderer, first.reference),
+                (rendered.renderer, rendered.reference),
+                rendered.encodings,
+                strict=True,
+            )
         ]
         rows = verdicts.rows if verdicts else []
         looked_at = {(row.verdict.x, row.verdict.y) for row in rows}
@@ -120,6 +165,7 @@ class Data:
                 "b": sides[1],
                 "anchor": anchor,
                 "ok": ok,
+                "signed": self._signed(scene, rendered),
                 "passes": {
                     c.pass_name: {
                         **{key: value for key, value in c.record().items() if key not in LEFT_OUT},
@@ -150,20 +196,38 @@ class Data:
             "surfaces": guide.spheres,
             "margins": list(analysis.margins) if analysis and not self.small else [],
         }
-        data = SceneData(key, entry, guide)
+        data = SceneData(key, size, entry, guide)
         if analysis and not self.small:
             data.margins = floats.store_margins(analysis.margins)
         return data
 
-    def _draw(self, scene: SceneData, name: str, passes: Passes) -> int:
+    def _signed(self, scene: SceneData, rendered: Rendered) -> str:
+        """The block with the error of `beauty` that was measured, positive where A is larger; "": there is none.
+
+        Of levels the viewer cannot tell it: how far a colour is from those that a level stands for.
+        """
+        found = next((c.maps for c in rendered.comparisons if c.pass_name == "beauty"), None)
+        if found is None or self.small or not any(rendered.encodings):
+            return ""
+        a, b = (np.asarray(side["beauty"], np.float64) for side in (rendered.renderer, rendered.reference))
+        apart = encoding.difference(a, b, rendered.encodings)
+        largest = np.where(np.isnan(apart), np.inf, apart).argmax(axis=-1)[..., None]
+        sign = np.take_along_axis(encoding.signs(a, b, rendered.encodings), largest, axis=-1)[..., 0]
+        key = f"e{scene.key}-{len(scene.pairs)}"
+        scene.signed[key] = floats.store_plane(np.where(found.error == 0, 0.0, sign * found.error))
+        return key
+
+    def _draw(self, scene: SceneData, name: str, passes: Passes, encoding: Encoding | None) -> int:
         """The place of a renderer among those of the scene; what it drew is stored the first time."""
         for place, drawn in enumerate(scene.drawn):
             if drawn.name == name:
                 return place
-        precision = "f64" if any(array.dtype == np.float64 for array in passes.values()) else "f32"
-        drawn = Drawn(name, precision)
+        drawn = Drawn(name, encoding=encoding)
         if not self.small:
-            drawn.stored, own = floats.store(passes, scene.source, scene.guide)
+            # The viewer knows one size: a pass of another was not compared either.
+            shape = scene.size[1], scene.size[0]
+            fitting = {key: array for key, array in passes.items() if array.shape[:2] == shape}
+            drawn.stored, own = floats.store(fitting, scene.source, scene.guide)
             # Of a scene that comes again after others the first renderer's arrays are gone.
             scene.source = None if scene.closed else scene.source or own
         scene.drawn.append(drawn)
@@ -183,6 +247,19 @@ class Data:
             flags = flags + mask * np.uint8(KINDS[kind])
         text = floats.store_bytes(flags.astype(np.uint8))
         return self._flags.setdefault(text, f"f{len(self._flags)}")
+
+    def variants(self) -> dict[str, str]:
+        """By pair, by its anchor, what tells its scene from others with the same name and size; "": there are none."""
+        found: dict[str, str] = {}
+        taken = set()
+        alike = Counter((place.label, place.size) for place in self._scenes)
+        for place, scene in self._scenes.items():
+            says = place.says if alike[place.label, place.size] > 1 else ""
+            candidates = itertools.chain([says], (f"{says} {number}" for number in itertools.count(2)))
+            variant = next(name for name in candidates if (place.label, place.size, name) not in taken)
+            taken.add((place.label, place.size, variant))
+            found |= {pair["anchor"]: variant for pair in scene.pairs}
+        return found
 
     def page(self, about: Json, finished: Container[str]) -> tuple[str, list[tuple[str, str]]]:
         """The JSON of all scenes, and the blocks of text by id; what does not fit is left out, failures last.
@@ -205,7 +282,10 @@ class Data:
                     tiers[scene.key] += 1
                     left -= need
                     blocks |= stored
-        entries = [self._entry(scene, tiers[scene.key]) for scene in ordered]
+        variants = self.variants()
+        entries = [
+            {**self._entry(scene, tiers[scene.key]), "as": variants[scene.pairs[0]["anchor"]]} for scene in ordered
+        ]
         record = {
             **about,
             "small": self.small,
@@ -225,7 +305,12 @@ class Data:
             "renderers": [
                 {
                     "name": drawn.name,
-                    "precision": drawn.precision,
+                    "encoding": drawn.encoding
+                    and {
+                        "quantisation": drawn.encoding.quantisation,
+                        "steps": drawn.encoding.steps,
+                        "says": drawn.encoding.says,
+                    },
                     "passes": {
                         name: {
                             "channels": stored.channels,
@@ -263,12 +348,10 @@ def _verdict(row: Row, rendered: Rendered) -> Json:
     return {
         "x": verdict.x,
         "y": verdict.y,
-        "mark": row.mark,
         "edge": verdict.edge,
         "passes": list(verdict.passes),
         "tolerances": tolerances,
         "explained": verdict.explained,
-        "row": row.anchor,
         "findings": [
             {
                 "renderer": finding.renderer,

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tracer import Scene
-    from tracer.passes import Passes
     from validation.renderers import Settings
 
 Ints: TypeAlias = NDArray[np.int32]
@@ -125,7 +124,9 @@ def _finite(values: Floats) -> Floats:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def store(passes: Passes, source: Source | None, guide: Guide | None = None) -> tuple[dict[str, Stored], Source]:
+def store(
+    passes: Mapping[str, NDArray[Any]], source: Source | None, guide: Guide | None = None
+) -> tuple[dict[str, Stored], Source]:
     """Every pass of one renderer; `source`: that of the first renderer of the scene, None for the first itself."""
     planes = {name: _planes(array) for name, array in passes.items()}
     with np.errstate(over="ignore", invalid="ignore"):
@@ -184,6 +185,13 @@ def store_margins(margins: Mapping[str, NDArray[Any]]) -> str:
     rounded = ((bits.astype(np.uint64) + 0x10000) & 0xFFFE0000).astype(np.uint32).view(np.float32)
     order = ordered(rounded)
     with np.errstate(over="ignore"):
+        return pack(order - _planar(order))
+
+
+def store_plane(values: Floats) -> str:
+    """One number a pixel, as float32."""
+    with np.errstate(over="ignore"):
+        order = ordered(values.astype(np.float32))[None]
         return pack(order - _planar(order))
 
 

@@ -117,6 +117,7 @@ class SceneView:
     outlines: dict[str, str] = field(default_factory=dict)
     thumbnail: Shown | None = None
     verdicts: VerdictsView | None = None
+    variant: str = ""  # what tells it from others with the same name and size
 
     @property
     def zoom(self) -> int:
@@ -299,8 +300,11 @@ class Report:
             for scene in self._scenes
             if not result.unfinished or (scene.label, scene.renderer, scene.reference) in pairs_done
         ]
+        variants = self._data.variants()
+        for scene in self._scenes:
+            scene.variant = variants[scene.anchor]
         record, blocks = self._data.page(
-            {"headline": top, "ok": result.ok, "command": shlex.join(result.command), "versions": result.versions},
+            {"command": shlex.join(result.command), "versions": result.versions},
             {scene.anchor for scene in self._finished},
         )
         page = environment.get_template("report.html.j2").render(

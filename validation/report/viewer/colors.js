@@ -188,6 +188,18 @@ export function differences(row, a, b, compared) {
 }
 
 /**
+ * The same of errors that were measured before.
+ * @param {Float32Array} from
+ * @param {boolean} turned whether A and B have changed places
+ * @param {(i: number) => boolean} compared
+ * @returns {{ errors: Float64Array, signs: Float64Array }}
+ */
+export function measured(from, turned, compared) {
+  const signs = Float64Array.from(from, (value, i) => (compared(i) ? (turned ? -value : value) : NaN));
+  return { errors: signs.map(Math.abs), signs };
+}
+
+/**
  * The exponents of ten between which errors are shown: those of the interior, so that one edge pixel hides nothing.
  * @param {Float64Array} errors
  * @param {(i: number) => boolean} edge

@@ -28,6 +28,14 @@ export function rowOf(name) {
 }
 
 /**
+ * What follows the name of a scene, where another one has the same.
+ * @param {SceneEntry} scene
+ */
+export function variant(scene) {
+  return scene.as ? ` · ${scene.as}` : "";
+}
+
+/**
  * Every pass of a scene that some renderer has, in the order of the table.
  * @param {SceneEntry} scene
  * @returns {string[]}
@@ -159,6 +167,22 @@ export function trim(scene, wanted) {
 export async function flags(scene, comparison) {
   if (!comparison?.flags) return null;
   return once(scene, comparison.flags, () => block(comparison.flags));
+}
+
+/**
+ * The errors of `beauty` that a comparison with levels measured, positive where its A is larger.
+ * @param {SceneEntry} scene
+ * @param {Pair | undefined} pair
+ * @returns {Promise<Float32Array | null>}
+ */
+export async function signedErrors(scene, pair) {
+  if (!scene.floats || !pair?.signed) return null;
+  return once(scene, pair.signed, async () => {
+    const [columns, rows] = scene.size;
+    const order = unpack(await block(pair.signed), columns * rows);
+    addPlanar(order, 1, columns, rows);
+    return new Float32Array(swapOrder(order).buffer);
+  });
 }
 
 /**

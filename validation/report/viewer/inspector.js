@@ -86,6 +86,30 @@ export function level(value, narrow) {
   return Math.trunc(narrow ? Math.fround(held * 255) : held * 255);
 }
 
+/** As much as the curve of a program in float32 may be off by, as when it is compared. */
+const CURVE_ROUNDINGS = 8 * 2 ** -24;
+
+/**
+ * The levels that a colour may have in an image: of a curve, and halfway between two, the program has the choice.
+ * @param {number} value
+ * @param {Encoding} encoding
+ * @returns {number[]}
+ */
+export function levels(value, { quantisation, steps }) {
+  const held = value > 0 ? (value < 1 ? value : 1) : 0;
+  const scale = quantisation === "255.9" ? steps + 0.9 : quantisation === "256" ? steps + 1 : steps;
+  const offset = ["round", "srgb", "gamma"].includes(quantisation) ? 0.5 : 0;
+  const at = (/** @type {number} */ curve) => Math.max(0, Math.min(steps, Math.floor(scale * curve + offset)));
+  if (/^(srgb|gamma)/.test(quantisation)) {
+    const srgb = held <= 0.0031308 ? 12.92 * held : 1 - 1.055 * (1 - held ** (1 / 2.4));
+    const curve = quantisation.startsWith("srgb") ? srgb : held ** (1 / 2.2);
+    return [at(curve), at(curve - CURVE_ROUNDINGS), at(curve + CURVE_ROUNDINGS)];
+  }
+  const up = at(held);
+  const half = quantisation === "round" && held > 0 && held < 1 && (held * steps) % 1 === 0.5;
+  return half && up % 2 ? [up, up - 1] : [up];
+}
+
 /**
  * @typedef {Object} Seen
  * @property {State} state
@@ -122,6 +146,8 @@ function passTable(seen, name) {
   const truth = scene.truths[pixel.join(",")]?.[name];
   let body = "";
   let rounded = false;
+  const encoded = [state.a, state.b].find((place) => scene.renderers[place].encoding);
+  const encoding = row.name === "beauty" && encoded !== undefined ? scene.renderers[encoded].encoding : null;
   const order = [state.a, state.b, ...scene.renderers.keys()].filter((place, i, all) => all.indexOf(place) === i);
   [...channels].forEach((channel, c) => {
     // All are held against the exact value, where it is known, else against A.
@@ -159,12 +185,21 @@ function passTable(seen, name) {
         const relative = Math.abs(difference) / Math.abs(first.value);
         rest = `<td>${brief(difference)}</td><td>${difference ? brief(relative) : "0"}</td><td title="numbers of float${both ? 64 : 32} apart">${brief(between)}${between && both ? "<sub>64</sub>" : ""}</td>`;
       } else if (first && value !== first.value) rest = '<td colspan="3"><b>differs</b></td>';
-      const eight = row.name === "beauty" ? `<td>${level(value, !wide)}</td>` : "";
+      const own = renderer.encoding;
+      let eight = "";
+      if (row.name === "beauty" && own) eight = `<td>${Math.round(value * own.steps)}</td>`;
+      else if (encoding && encoded !== undefined) {
+        // Where the program has the choice, its own is right.
+        const there = seen.plane(encoded, name)?.values[c * count + at] ?? NaN;
+        const may = levels(value, encoding);
+        eight = `<td>${may.find((one) => one === Math.round(there * encoding.steps)) ?? may[0]}</td>`;
+      } else if (row.name === "beauty") eight = `<td>${level(value, !wide)}</td>`;
       body += `<tr${letter ? ' class="pair"' : ""}>${head}<td class="value" title="${value}" ${data}>${shown}${meaning(scene, row, value)}</td>${rest}${eight}</tr>`;
       first ??= { value, wide };
     }
   });
-  const eight = row.name === "beauty" ? "<th>8-bit</th>" : "";
+  const bits = encoding && encoding.steps !== 255 ? `of ${encoding.steps}` : "8-bit";
+  const eight = row.name === "beauty" ? `<th title="${escaped(encoding?.says ?? "v * 255, truncated")}">${bits}</th>` : "";
   const from = truth ? "the exact value" : "the value of A";
   const note = rounded ? '<p class="soft">≈ float64, rounded to the nearest float32 to keep the page small</p>' : "";
   return `<table class="values"><thead><tr><th colspan="2">${escaped(name)}</th><th>value</th><th title="less ${from}">− ${truth ? "exact" : "A"}</th><th title="over ${from}">relative</th><th title="floating-point numbers between it and ${from}">ulp</th>${eight}</tr></thead><tbody>${body}</tbody></table>${note}`;
@@ -257,6 +292,8 @@ function verdicts(seen) {
     const letters = found?.turned ? ["B", "A"] : ["A", "B"];
     const said = own.findings.map((finding, side) => sentence(finding, letters[side])).join("");
     text += `<section class="verdict${own.explained ? "" : " alarm"}"><h3>${markSvg(who(own), !own.explained)} Verdict <span class="soft">${own.edge ? "edge" : "interior"} pixel</span></h3>${said}${allowed(own)}</section>`;
+  } else if (found?.pair.unproved.some(([x, y]) => x === pixel[0] && y === pixel[1])) {
+    text += '<section class="verdict alarm"><h3>No verdict</h3><p>The exact value of this pixel could not be had, so nobody knows which of the two is off.</p></section>';
   } else if (found && seen.flag & 2) {
     const why = found.pair.verdicts.length ? `not among the pixels judged in this run. ${nearest(state, found.pair, pixel)} The command below judges this one` : "no pixel was judged";
     text += `<p class="soft">Over tolerance in ${escaped(state.pass)}; ${why}.</p>${causes(state, found.pair)}`;

@@ -1,5 +1,5 @@
 // The list of scenes with filters, and the matrix of all of them.
-import { number, passesOf, run } from "viewer/data.js";
+import { number, passesOf, run, variant } from "viewer/data.js";
 import { brief, escaped } from "viewer/inspector.js";
 import { address, initial, worst } from "viewer/state.js";
 
@@ -50,6 +50,7 @@ export function result(scene, onlyPass, onlyRenderer) {
       if (!verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) wrong.add(`${verdict.x},${verdict.y}`);
       else if (verdict.explained && (!onlyPass || verdict.passes.includes(onlyPass))) excused.add(`${verdict.x},${verdict.y}`);
     }
+    if (!onlyPass) for (const pixel of pair.unproved) wrong.add(pixel.join());
   }
   found.wrong = wrong.size;
   found.excused = excused.size;
@@ -100,7 +101,7 @@ export function filtered(state) {
     .map((scene) => ({ scene, found: result(scene, state.onlyPass, state.onlyRenderer) }))
     .filter(({ scene, found }) => {
       const bad = found.differ > 0 || found.wrong > 0;
-      const text = `${scene.label} ${scene.size.join("x")} ${scene.spheres.join(" ")}`.toLowerCase();
+      const text = `${scene.label} ${scene.size.join("x")} ${scene.as} ${scene.spheres.join(" ")}`.toLowerCase();
       return found.made > 0 && (bad || !state.failed) && words.every((word) => text.includes(word));
     })
     .sort((a, b) => rank(a.found) - rank(b.found));
@@ -112,12 +113,12 @@ function rank(found) {
 }
 
 /**
- * What a scene is called in the list: with its size where there are two.
+ * What a scene is called in the list: with its size, or the convention it was drawn by, where there are two.
  * @param {SceneEntry} scene
  */
 function called(scene) {
-  const double = run.scenes.filter((other) => other.label === scene.label).length > 1;
-  return scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "");
+  const double = run.scenes.some((other) => other.label === scene.label && other.size.join() !== scene.size.join());
+  return scene.label.slice(folder.length) + (double ? ` ${scene.size.join("×")}` : "") + variant(scene);
 }
 
 /**

@@ -1,6 +1,6 @@
 // The viewer: reads the address, draws what it says, and writes it when keys, buttons or the pointer change something.
-import { brightened, decades, differences, inferno, logarithmic, magma, picture, range, signed } from "viewer/colors.js";
-import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, trim } from "viewer/data.js";
+import { brightened, decades, differences, inferno, logarithmic, magma, measured, picture, range, signed } from "viewer/colors.js";
+import { flags as flagsOf, margins, number, passesOf, plane, rowOf, run, signedErrors, trim, variant } from "viewer/data.js";
 import { brief, causes, escaped, inspect, spoken } from "viewer/inspector.js";
 import { fillList, filtered, markScene, matrix, pictureAddress, thumbnail } from "viewer/list.js";
 import { MARKS, markSvg, who } from "viewer/marks.js";
@@ -148,7 +148,8 @@ async function pictureOf(key) {
   if (!loaded.has(key)) image.src = pictureAddress(key);
   loaded.set(key, image);
   await image.decode().catch(() => undefined);
-  return image;
+  // What no picture is, a canvas refuses to draw.
+  return image.naturalWidth ? image : null;
 }
 
 /** What is drawn of the pictures of one comparison; made again only when one of these changes. */
@@ -182,7 +183,7 @@ async function draw() {
   have.flags = made.flags;
   stageElement.dataset.mode = mode;
   stage.show({
-    about: `${pass} of ${scene.label}`,
+    about: `${pass} of ${scene.label}${variant(scene)}`,
     size: scene.size,
     panes: made.panes,
     outlines: outlines(),
@@ -215,7 +216,7 @@ async function placeholder(mine) {
   const title = "reading …";
   const panes = (state.mode === "side" ? [0, 1] : [0]).map(() => ({ title, image }));
   const { pixel, zoom, centre, split } = state;
-  const about = `${state.pass} of ${state.scene.label}`;
+  const about = `${state.pass} of ${state.scene.label}${variant(state.scene)}`;
   stage.show({ about, size: state.scene.size, panes, outlines: [], verdicts: [], pixel, zoom, centre, split });
 }
 
@@ -282,16 +283,16 @@ function trace(all, size) {
 }
 
 /** @type {{ planes: Plane[], limits: ReturnType<typeof range> | null }} */
-let measured = { planes: [], limits: null };
+let ranged = { planes: [], limits: null };
 /**
  * The range of two planes, once.
  * @param {Plane[]} planes
  * @param {(Plane | null)[]} ids
  */
 function limitsOf(planes, ids) {
-  const same = measured.planes.length === planes.length && planes.every((one, i) => one === measured.planes[i]);
-  const limits = (same && measured.limits) || range(planes, ids);
-  measured = { planes, limits };
+  const same = ranged.planes.length === planes.length && planes.every((one, i) => one === ranged.planes[i]);
+  const limits = (same && ranged.limits) || range(planes, ids);
+  ranged = { planes, limits };
   return limits;
 }
 
@@ -299,7 +300,10 @@ function limitsOf(planes, ids) {
 async function fromFloats(mine) {
   const { scene, pass, a, b, mode } = state;
   const row = rowOf(pass);
-  const [first, second, idsA, idsB] = await Promise.all([need(a, pass), need(b, pass), need(a, "id"), need(b, "id")]);
+  const now = comparison(state);
+  const [first, second, idsA, idsB, told] = await Promise.all([
+    need(a, pass), need(b, pass), need(a, "id"), need(b, "id"), pass === "beauty" ? signedErrors(scene, now?.pair) : null,
+  ]);
   if (mine !== turn) return null;
   const names = [a, b].map((place) => scene.renderers[place].name);
   const title = (/** @type {number} */ side) => `${"AB"[side]}  ${names[side]}`;
@@ -314,7 +318,8 @@ async function fromFloats(mine) {
     if (!one) return canvas(new ImageData(scene.size[0], scene.size[1]));
     return canvas(picture(row, one, [idsA, idsB][side], limits, scene.size, state.exposure + auto, state.clip));
   };
-  const shown = how(row, limits, auto) + (lacking ? `; ${lacking}` : "");
+  const levels = pass === "beauty" ? inLevels(scene, a, b) : "";
+  const shown = how(row, limits, auto) + levels + (lacking ? `; ${lacking}` : "");
   const whole = { how: shown, bar: "" };
   if (mode === "side") return { ...whole, panes: [0, 1].map((side) => ({ title: title(side), image: paint(side) })) };
   if (mode === "slider") {
@@ -330,7 +335,7 @@ async function fromFloats(mine) {
   const hitsOnly = row.quantity === "length" || row.quantity === "position" || row.quantity === "normal";
   const bothHit = (/** @type {number} */ i) => !hitsOnly || !((idsA?.values[i] ?? 0) < 0 || (idsB?.values[i] ?? 0) < 0);
   const compared = bits ? (/** @type {number} */ i) => (bits[i] & 1) !== 0 : bothHit;
-  const { errors, signs } = differences(row, first, second, compared);
+  const { errors, signs } = told ? measured(told, now?.turned ?? false, compared) : differences(row, first, second, compared);
   const scale = decades(errors, bits ? (i) => (bits[i] & 4) !== 0 : () => false);
   const both = mode === "diff";
   const image = canvas(logarithmic(both ? signs : errors, scale, scene.size, both));
@@ -339,14 +344,16 @@ async function fromFloats(mine) {
   const rounded = [first, second].every((one) => one.exact)
     ? ""
     : `; float64 is rounded to float32 to keep the page small${lost ? ": differences below 6e-8 of a value do not show" : ""}`;
+  const from = told ? ", from the colours that a level stands for" : "";
   const what = both
-    ? "A − B of the channel that differs most; orange and +: A is larger, blue and −: B is larger"
-    : `largest difference of a channel${row.quantity === "normal" ? "s' vector" : ""}, brighter is larger`;
+    ? `A − B of the channel that differs most${from}; orange and +: A is larger, blue and −: B is larger`
+    : `largest difference of a channel${row.quantity === "normal" ? "s' vector" : ""}${from}, brighter is larger`;
+  const plainly = levels && !told ? `${levels}; these two were not compared: a level counts as the colour that it is over their number` : levels;
   const none = scale ? "" : "; there is no difference";
   const few = scale ? ` or below 1e${scale[0]}` : "";
   return {
     panes: [{ title: both ? `${names[0]} − ${names[1]}` : `error of ${names[0]} against ${names[1]}`, image, signs: both ? signs : undefined }],
-    how: `${what}; black: none${few}; see-through: not compared${none}${rounded}`,
+    how: `${what}; black: ${told ? "the right level" : "none"}${few}; see-through: not compared${none}${plainly}${rounded}`,
     bar: scale ? colorBar(scale, both, errors.some((error) => error > 10 ** scale[1])) : "",
   };
 }
@@ -428,6 +435,20 @@ function black(size) {
   const pixels = new ImageData(...size);
   for (let i = 3; i < pixels.data.length; i += 4) pixels.data[i] = 255;
   return canvas(pixels);
+}
+
+/**
+ * Which of two are levels, and by which rule.
+ * @param {SceneEntry} scene
+ * @param {number} a
+ * @param {number} b
+ */
+function inLevels(scene, a, b) {
+  const sides = [a, b].map((place, side) => {
+    const of = scene.renderers[place].encoding;
+    return of ? `; ${"AB"[side]} is ${of.steps === 255 ? "bytes" : `levels up to ${of.steps}`}: ${of.says}` : "";
+  });
+  return sides.join("");
 }
 
 /**

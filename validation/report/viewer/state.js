@@ -87,6 +87,7 @@ export function address(state) {
   const entries = new URLSearchParams({
     scene: scene.label,
     size: scene.size.join("x"),
+    ...(scene.as ? { as: scene.as } : {}),
     pass: state.pass,
     a: scene.renderers[state.a].name,
     b: scene.renderers[state.b].name,
@@ -120,7 +121,10 @@ export function fromAddress(hash) {
   const entries = new URLSearchParams(hash.slice(2));
   const of = (/** @type {string} */ key) => entries.get(key) ?? "";
   const named = run.scenes.filter((entry) => entry.label === of("scene"));
-  const scene = named.find((entry) => entry.size.join("x") === of("size")) ?? named[0];
+  const sized = named.filter((entry) => entry.size.join("x") === of("size"));
+  const asked = [of("a"), of("b")];
+  const has = (/** @type {SceneEntry} */ entry) => asked.every((name) => entry.renderers.some((one) => one.name === name));
+  const scene = sized.find((entry) => entry.as === of("as")) ?? sized.find(has) ?? sized[0] ?? named[0];
   if (scene) Object.assign(state, worst(scene));
   if (scene && passesOf(scene).includes(of("pass"))) state.pass = of("pass");
   if (scene) {

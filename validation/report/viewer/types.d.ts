@@ -13,9 +13,17 @@ interface StoredPass {
   rest: boolean;
 }
 
+/** How the levels of an image stand for colours. */
+interface Encoding {
+  quantisation: string;
+  steps: number;
+  says: string;
+}
+
 interface RendererEntry {
   name: string;
-  precision: "f64" | "f32";
+  /** Of its `beauty`; null: it holds colours. */
+  encoding: Encoding | null;
   passes: Record<string, StoredPass>;
   exact: Record<string, Record<string, Num[]>>;
 }
@@ -56,13 +64,11 @@ interface Finding {
 interface Verdict {
   x: number;
   y: number;
-  mark: Mark;
   edge: boolean;
   passes: string[];
   /** By pass what A and B may differ by here. */
   tolerances: Record<string, Num>;
   explained: boolean;
-  row: string;
   findings: [Finding, Finding];
 }
 
@@ -71,9 +77,12 @@ interface Pair {
   b: number;
   anchor: string;
   ok: boolean;
+  /** The block with the errors of `beauty` that were measured, where A or B is levels; else empty. */
+  signed: string;
   passes: Record<string, Comparison>;
   differ: number;
   verdicts: Verdict[];
+  /** Pixels that truth could not be had of. */
   unproved: [number, number][];
 }
 
@@ -81,6 +90,8 @@ interface SceneEntry {
   key: string;
   label: string;
   size: [number, number];
+  /** What tells it from others with the same label and size, as drawn with other settings; empty: there are none. */
+  as: string;
   text: string;
   spheres: string[];
   lights: string[];
@@ -102,8 +113,6 @@ interface PassRow {
 }
 
 interface Run {
-  headline: string;
-  ok: boolean;
   command: string;
   versions: Record<string, string>;
   small: boolean;
