@@ -62,7 +62,7 @@ function told(found) {
   // Worst is the interior pixel nearest to its tolerance, or farthest beyond: errors of lengths and colours are no match.
   const tolerance = number(found.worst?.tolerance ?? null);
   const off = tolerance > 0 ? `${brief(found.ratio * tolerance)}, ${brief(found.ratio)} × its tolerance` : "";
-  const worst = found.worst ? `worst: ${found.pass}, off by ${off || brief(number(found.worst.max))}` : "";
+  const worst = found.worst?.max === 0 ? "no difference" : found.worst ? `worst: ${found.pass}, off by ${off || brief(number(found.worst.max))}` : "";
   if (!found.made) return { bad: false, chip: "not compared", worst: "" };
   const edges = found.excused ? `${worst}; ${found.excused} ${found.excused === 1 ? "pixel" : "pixels"} off at edges, explained` : worst;
   if (found.differ) return { bad: true, chip: `${found.differ} of ${found.made} differ`, worst };
