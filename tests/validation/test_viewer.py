@@ -832,7 +832,8 @@ def test_a_small_report_has_pictures_alone_and_says_so(browser: Any, tmp_path: P
         page.keyboard.press(key)
         settled(page, mode=mode)
         assert ("no float data" in page.locator(".stage figcaption").first.inner_text()) == (mode == "diff")
-        assert mode == "diff" or colors(page) > 20
+        # Of errors there are few: most of the pixels that differ do so alike.
+        assert mode == "diff" or colors(page) > (10 if mode == "heat" else 20)
     assert "--small" in page.locator("#v-values .missing").inner_text()
     assert page.locator("#v-values td.value").count() == 0
     assert "unexplained" in page.locator("#v-values .verdict").inner_text()
