@@ -125,3 +125,16 @@ def test_the_page_of_a_job_is_added_to(tmp_path: Path, monkeypatch: pytest.Monke
     for path in (page, other):
         write_markdown(path, result)
     assert page.read_text() == "before\n" + other.read_text()
+
+
+def test_the_page_of_a_job_is_known_by_another_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "step.md"
+    page.write_text("before\n")
+    (tmp_path / "link.md").hardlink_to(page)
+    (tmp_path / "to").symlink_to(tmp_path)
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(page))
+    monkeypatch.chdir(tmp_path)
+    for count, path in enumerate((Path("step.md"), tmp_path / "to" / "step.md", tmp_path / "link.md"), 1):
+        assert write_markdown(path, made())
+        assert page.read_text().startswith("before\n")
+        assert page.read_text().count("Nothing was compared") == count
