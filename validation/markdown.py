@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tracer.passes import write_beside
+from validation.pages import write_text
 from validation.report.report import headline
 from validation.terminal import number, worst_of
 
@@ -31,11 +31,10 @@ def write_markdown(path: Path, result: Validation) -> bool:
     if _of_step(path):
         if result.unfinished:
             return False
-        with path.open("a", encoding="utf-8") as file:
+        with path.open("a", encoding="utf-8", errors="replace") as file:
             file.write(text)
         return True
-    with write_beside(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
     return True
 
 

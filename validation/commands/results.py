@@ -17,7 +17,8 @@ import click
 from tracer.passes import replaceable
 from validation import records
 from validation.commands.errors import kept, nothing_kept
-from validation.commands.outputs import check_included, check_open, open_page, page_in, writable, write_text
+from validation.commands.outputs import check_included, check_open, open_page, page_in, writable
+from validation.pages import write_text
 
 if TYPE_CHECKING:
     from validation.report.report import Report

@@ -227,7 +227,7 @@ def _row(verdict: Verdict, scene: str, pair: tuple[str, str], rendered: Rendered
 def _text(name: str, value: float, scene: Scene) -> str:
     """A value with every digit, of an id the sphere's name."""
     quantity = lookup(name).quantity
-    if quantity == "id" and value == int(value):
+    if quantity == "id" and math.isfinite(value) and value == int(value):
         number = int(value)
         if 0 <= number < len(scene.spheres):
             return f"{number}, '{scene.spheres[number].name}'"
