@@ -1,4 +1,4 @@
-"""What is finished is on the disk, whole, after every scene, and stays there when the run ends early."""
+"""What is finished is on the disk, whole, while a run goes on, and stays there when it ends early."""
 
 from __future__ import annotations
 
