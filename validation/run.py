@@ -78,6 +78,8 @@ class Rendered:
     comparisons: Sequence[Comparison]
     verdicts: Verdicts | None = None
     analysis: Analysis | None = None
+    #: Where the scene is, if a report shows it by another name.
+    path: str = ""
 
     @property
     def convention(self) -> str:

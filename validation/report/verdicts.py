@@ -220,7 +220,9 @@ def _row(verdict: Verdict, scene: str, pair: tuple[str, str], rendered: Rendered
         lookup(name).channels[channel : channel + 1],
         _text(name, balls[channel].value, of),
         (values[0], values[1]),
-        explain_command(rendered.label, of, rendered.settings, verdict.x, verdict.y, pair, rendered.convention),
+        explain_command(
+            rendered.path or rendered.label, of, rendered.settings, verdict.x, verdict.y, pair, rendered.convention
+        ),
     )
 
 
