@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PACKAGES := git make g++ python3-dev python3-venv
 NATIVE := $(wildcard tracer/native/*.cpp tracer/native/*.hpp)
-PYTHONS := $(wildcard tracer/*.py validation/*.py validation/renderers/*.py)
+PYTHONS := $(shell find tracer converters validation -name '*.py')
 EXTRAS := build/stability.json build/speed.json
 CPUS := $(shell nproc 2>/dev/null || echo 2)
 

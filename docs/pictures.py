@@ -25,7 +25,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 FIGURES = DOCS / "figures"
 
-#: The six ways to look at a pair, and what each file is called.
+#: Ways to look at a pair, and what each file is called; the map of FLIP comes to them where the report has it.
 MODES = ("side", "slider", "flip", "diff", "heat", "verdict")
 
 #: The ladder that is shown: Mitsuba's own epsilons are seen there.
@@ -92,7 +92,10 @@ def screenshots(folder: Path) -> None:
 
         shot(FIGURES / "report-check.png", 96, mode="side")
         page.set_viewport_size({"width": 1180, "height": 640})
-        for mode in MODES:
+        page.goto(address)
+        page.wait_for_function("document.getElementById('v-stage').dataset.ready")
+        flips = page.locator('#v-modes [data-mode="flipmap"]:not([aria-disabled="true"])').count()
+        for mode in (*MODES, *["flipmap"] * bool(flips)):
             shot(FIGURES / f"viewer-{mode}.png", 64, "#v-stage", mode=mode)
         shot(FIGURES / "viewer-inspector.png", 24, "#v-inspector", mode="side")
         shot(FIGURES / "viewer-keys.png", 16, "#v-help", mode="side", press="?")

@@ -111,6 +111,11 @@ def quantise(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     return levels
 
 
+def replaceable(path: Path) -> bool:
+    """Whether a file may be put in its place, and again: no device, no pipe, nothing that this process has open."""
+    return _descriptor(path) is None and (path.is_file() or path.is_dir() or not path.exists())
+
+
 @contextlib.contextmanager
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the folder of `path` that is renamed to it at the end; on an error nothing is left.
@@ -119,7 +124,7 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     such as /dev/stdout, whatever that leads to.
     """
     path, descriptor = Path(path), _descriptor(Path(path))
-    if descriptor is not None or (path.exists() and not path.is_file() and not path.is_dir()):
+    if not replaceable(path):
         with tempfile.TemporaryDirectory(prefix="whitted-") as folder:
             yield Path(folder) / f"output{path.suffix}"
             with (Path(folder) / f"output{path.suffix}").open("rb") as made:

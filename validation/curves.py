@@ -6,10 +6,9 @@ import importlib.metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from tracer.passes import write_beside
+from validation.pages import environment, write_text
 from validation.report.included import stability
 from validation.report.report import MARK, ours
 from validation.stability import LEGEND
@@ -30,14 +29,8 @@ def write_curves(result: Stability, folder: Path) -> Path:
         OSError: the file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    environment = Environment(
-        loader=PackageLoader("validation.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    text = environment.get_template("curves.html.j2").render(
+    templates = environment()
+    text = templates.get_template("curves.html.j2").render(
         mark=Markup(MARK) + importlib.metadata.version("whitted"),
         style=Markup(Path(__file__).with_name("report").joinpath("style.css").read_text(encoding="utf-8")),
         names=result.tested,
@@ -66,6 +59,5 @@ def write_curves(result: Stability, folder: Path) -> Path:
         one=stability(result.record()),
     )
     page = folder / "index.html"
-    with write_beside(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(page, text)
     return page

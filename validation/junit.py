@@ -24,7 +24,7 @@ def junit(result: Validation) -> str:
     """
     root = ET.Element("testsuites", name="whitted")
     for (renderer, reference), comparisons in _by_pair(result).items():
-        suite = ET.SubElement(root, "testsuite", name=f"{renderer} against {reference}")
+        suite = ET.SubElement(root, "testsuite", name=_fit(f"{renderer} against {reference}"))
         for comparison in comparisons:
             case = _case(suite, comparison.scene, comparison.pass_name)
             if not comparison.ok:

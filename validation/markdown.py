@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tracer.passes import write_beside
+from validation.pages import write_text
 from validation.report.report import headline
 from validation.terminal import number, worst_of
 
@@ -25,16 +25,28 @@ MOST = 50
 STEP = "GITHUB_STEP_SUMMARY"
 
 
-def write_markdown(path: Path, result: Validation) -> None:
-    """Write the summary; to the page of a job on GitHub it is added, when all is done."""
+def write_markdown(path: Path, result: Validation) -> bool:
+    """Write the summary; to the page of a job on GitHub it is added, when all is done. Whether anything was written."""
     text = markdown(result)
-    if str(path) == os.environ.get(STEP):
-        if not result.unfinished:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(text)
-        return
-    with write_beside(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    if _of_step(path):
+        if result.unfinished:
+            return False
+        with path.open("a", encoding="utf-8", errors="replace") as file:
+            file.write(text)
+        return True
+    write_text(path, text)
+    return True
+
+
+def _of_step(path: Path) -> bool:
+    """Whether that is the page of a job on GitHub, by whatever path."""
+    page = os.environ.get(STEP)
+    if not page:
+        return False
+    # It may be that the page is not there yet.
+    return os.path.realpath(page) == os.path.realpath(path) or (
+        path.exists() and Path(page).exists() and path.samefile(page)
+    )
 
 
 def markdown(result: Validation) -> str:

@@ -65,6 +65,14 @@ def ends(pid: int, seconds: float) -> bool:
     return True
 
 
+def _runs(pid: int) -> bool:
+    """Whether a child has not ended; unlike `is_alive` this does not wait for it, see `ends`."""
+    try:
+        return not ends(pid, 0)
+    except ChildProcessError:  # somebody has waited for it
+        return False
+
+
 def end(groups: Sequence[int], busy: Sequence[int] = ()) -> None:
     """End processes, each with its group; those that are `busy` first get a moment.
 
@@ -149,13 +157,18 @@ class Worker(Generic[Task]):
         theirs.close()
         self.task: Task | None = None
         self.doing = ""
-        self.deadline = 0.0
+        self.seconds = self.deadline = 0.0
 
     def give(self, task: Task, seconds: float) -> None:
         """Its next task."""
-        self.task, self.doing, self.deadline = task, "", time.monotonic() + seconds
+        self.task, self.doing = task, ""
+        self.allow(seconds)
         with contextlib.suppress(BrokenPipeError):  # it has ended: what waits for its answer sees that
             self.connection.send(task)
+
+    def allow(self, seconds: float) -> None:
+        """So many from now until it has to tell more."""
+        self.seconds, self.deadline = seconds, time.monotonic() + seconds
 
 
 class Pool(Generic[Task]):
@@ -200,10 +213,10 @@ class Pool(Generic[Task]):
     def _end(workers: Sequence[Worker[Task]]) -> None:
         with deferred():
             pids = {worker: worker.process.pid or 0 for worker in workers}
-            busy = [pid for worker, pid in pids.items() if worker.task is not None and worker.process.is_alive()]
+            busy = [pid for worker, pid in pids.items() if worker.task is not None and _runs(pid)]
             end([pid for pid in pids.values() if pid], busy)
             for worker in workers:
-                worker.process.kill()
+                worker.process.kill()  # one that has no group of its own yet
                 worker.process.join()
                 worker.connection.close()
 
@@ -215,20 +228,21 @@ class Pool(Generic[Task]):
                 try:
                     what, value = worker.connection.recv()
                 except (EOFError, OSError):
-                    worker.process.join()
-                    yield worker, "crashed", f"its process ended with status {worker.process.exitcode}"
+                    # Its group first: once it is waited for, its number may be another's.
                     self._remove(worker)
+                    yield worker, "crashed", f"its process ended with status {worker.process.exitcode}"
                     self._start(following)
                     continue
                 if what == "doing":
                     worker.doing, seconds = value
-                    worker.deadline = time.monotonic() + seconds if seconds else worker.deadline
+                    if seconds:
+                        worker.allow(seconds)
                 elif what == "done":
                     self._go_on(worker, following, large=value > LARGEST_BYTES)
                 else:
                     yield worker, what, value
             elif time.monotonic() > worker.deadline:
-                yield worker, "hangs", f"no answer in {self._seconds:g} seconds"
+                yield worker, "hangs", f"no answer in {worker.seconds:g} seconds"
                 self._remove(worker)
                 self._start(following)
 

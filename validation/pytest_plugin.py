@@ -78,7 +78,7 @@ class WhittedValidate:
         if collected:
             collected.add(result)
         if fail and not result.ok:
-            pytest.fail(message(result, scenes), pytrace=False)
+            pytest.fail(message(result, scenes, options), pytrace=False)
         return result
 
 
@@ -114,7 +114,7 @@ class Collected:
         name = self._name(rendered.label)
         comparisons = [replace(comparison, scene=name) for comparison in rendered.comparisons]
         verdicts = rendered.verdicts and replace(rendered.verdicts, scene=name)
-        self._report.add(replace(rendered, label=name, comparisons=comparisons, verdicts=verdicts))
+        self._report.add(replace(rendered, label=name, path=rendered.label, comparisons=comparisons, verdicts=verdicts))
 
     def add(self, result: Validation) -> None:
         """What one call compared."""
@@ -139,7 +139,10 @@ class Collected:
 
 
 COLLECTED = pytest.StashKey[Collected]()
-WRITTEN = pytest.StashKey[Path]()
+#: The pages that this run has written; of pytest-xdist those of the workers.
+WRITTEN = pytest.StashKey[list[str]]()
+#: Under which name a worker hands over its page.
+PAGE = "whitted_report"
 
 
 @pytest.fixture
@@ -175,20 +178,45 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if COLLECTED in config.stash:
         path = config.stash[COLLECTED].write(["pytest", *map(str, config.invocation_params.args)])
         if path:
-            config.stash[WRITTEN] = path
+            config.stash[WRITTEN] = [str(path)]
+            if hasattr(config, "workeroutput"):
+                config.workeroutput[PAGE] = str(path)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """A worker of pytest-xdist has ended."""
+    page = getattr(node, "workeroutput", {}).get(PAGE)
+    if page:
+        node.config.stash.setdefault(WRITTEN, []).append(page)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say where the report is."""
-    asked = config.getoption("--whitted-report")
-    pages = [config.stash[WRITTEN]] if WRITTEN in config.stash else []
-    if asked and not pages:  # those of the workers of pytest-xdist
-        pages = sorted(Path(config.invocation_params.dir, asked).glob("gw*/index.html"))
-    for page in pages:
+    pages = config.stash[WRITTEN] if WRITTEN in config.stash else []
+    for page in sorted(pages):
         terminalreporter.write_line(f"whitted report: {page}")
 
 
-def message(result: Validation, scenes: object) -> str:
+def _words(options: Mapping[str, Any]) -> list[str]:
+    """Options of the command that compares as `validate` does with those."""
+    from validation.renderers import Settings
+
+    words = []
+    if size := options.get("size"):
+        words += ["--size", "{}x{}".format(*size)]
+    if passes := options.get("passes"):
+        words += ["--passes", ",".join(passes)]
+    if "verdicts" in options:
+        words += ["--verdicts", str(options["verdicts"])]
+    for name, value in vars(options.get("settings") or Settings()).items():
+        if value != getattr(Settings(), name):
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    words += ["--flip"] * bool(options.get("flip"))
+    return words + ["--no-limits"] * (not options.get("limits", True))
+
+
+def message(result: Validation, scenes: object, options: Mapping[str, Any] | None = None) -> str:
     """Why a test fails: what differs, what is not explained, what failed, and the command that shows more."""
     from validation.terminal import worst_of
 
@@ -213,5 +241,6 @@ def message(result: Validation, scenes: object) -> str:
     if differ and not isinstance(scenes, Mapping):
         first = differ[0]
         words = ["whitted", "validate", first.scene, "--renderer", first.renderer, "--against", first.reference]
+        words += _words(options or {})
         lines.append(f"hint: {shlex.join([*words, '--report', 'report'])}")
     return "\n  ".join([head, *lines])

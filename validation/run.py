@@ -80,6 +80,8 @@ class Rendered:
     analysis: Analysis | None = None
     #: How the levels of either one's `beauty` stand for colours; None: it holds colours.
     encodings: Encodings = (None, None)
+    #: Where the scene is, if a report shows it by another name.
+    path: str = ""
 
     @property
     def convention(self) -> str:

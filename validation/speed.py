@@ -32,7 +32,7 @@ from validation.renderers import Settings
 from validation.renderers.mitsuba.mesh import FAMILY, MOST_SUBDIVISIONS, SUBDIVISIONS
 from validation.run import Note, resized, shrink, versions
 from validation.speed_errors import Errors, measure
-from validation.speed_plot import Panel, Point, front
+from validation.speed_plot import Panel, Point, family_of, front
 from validation.terminal import counted
 from validation.timing import now
 from validation.truth import UnprovedError
@@ -89,9 +89,7 @@ class Entry:
     @property
     def family(self) -> str:
         """What has one look in the plot."""
-        if self.renderer.startswith(FAMILY):
-            return FAMILY
-        return "cmd" if self.renderer.startswith("cmd:") else self.renderer.partition("@")[0]
+        return "cmd" if self.renderer.startswith("cmd:") else family_of(self.renderer)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 
+def family_of(renderer: str) -> str:
+    """What has one look in a plot: the variants of a renderer, and the meshes of Mitsuba."""
+    return "mitsuba-mesh" if renderer.startswith("mitsuba-mesh") else renderer.partition("@")[0]
+
+
 @dataclass(frozen=True)
 class Point:
     """One renderer: nanoseconds a pixel, error, its standard error, and how it is shown."""

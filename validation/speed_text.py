@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tracer.passes import write_beside
+from validation.pages import write_text
 from validation.report.report import MARK
 from validation.speed import Measured, SceneSpeed, Speed, caption, panels, threads
 from validation.speed_plot import write_plot
@@ -281,8 +281,7 @@ def write_page(folder: Path, result: Speed) -> Path:
         + "</main></body></html>\n"
     )
     path = folder / "index.html"
-    with write_beside(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 

@@ -121,6 +121,10 @@ def test_numbers_that_are_none() -> None:
             '{"kind": "stability", "ladders": 3, "renderers": [], "versions": {}, "command": []}',
             "is damaged",
         ),
+        "nested deeply": ("[" * 100_000, "is nested too deeply"),
+        "infinite": ('{"kind": "speed", "scenes": [Infinity]}', "Infinity is no finite number"),
+        "beyond float64": ('{"kind": "speed", "scenes": [1e999]}', "1e999 is no finite number"),
+        "half a character": ('{"kind": "speed", "command": ["\\ud800"]}', "has text that is no Unicode"),
         "a speed without its scene": ('{"kind": "speed", "machine": {}, "scenes": [{}], "versions": {}}', "it has no"),
     }.values(),
 )
@@ -136,6 +140,14 @@ def test_other_files_are_refused_before_anything_is_drawn(
     assert f"error: --include: {path}" in result.err
     assert "hint: whitted stability --json FILE" in result.err
     assert not (tmp_path / "out").exists()
+
+
+def test_numbers_too_large_for_an_axis_are_refused(results: Path, tmp_path: Path) -> None:
+    record = json.loads((results / "speed.json").read_text())
+    record["scenes"][0]["entries"][0]["ns_per_pixel"] = 1.7e308
+    (tmp_path / "large.json").write_text(json.dumps(record))
+    with pytest.raises(IncludeError, match="too large to draw"):
+        read(tmp_path / "large.json")
 
 
 def test_what_is_included_needs_a_report_and_is_there(run: Any, scene: Path, results: Path, tmp_path: Path) -> None:

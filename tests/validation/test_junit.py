@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 from command_line import NATIVE, one_pixel
 from doubles import Double, with_arrays
 
+import tracer
+from validation import validate
 from validation.junit import junit
 from validation.markdown import MOST, escaped, markdown, write_markdown
 from validation.renderers import Settings
@@ -125,3 +128,48 @@ def test_the_page_of_a_job_is_added_to(tmp_path: Path, monkeypatch: pytest.Monke
     for path in (page, other):
         write_markdown(path, result)
     assert page.read_text() == "before\n" + other.read_text()
+
+
+def test_the_page_of_a_job_is_known_by_another_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "step.md"
+    page.write_text("before\n")
+    (tmp_path / "link.md").hardlink_to(page)
+    (tmp_path / "to").symlink_to(tmp_path)
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(page))
+    monkeypatch.chdir(tmp_path)
+    for count, path in enumerate((Path("step.md"), tmp_path / "to" / "step.md", tmp_path / "link.md"), 1):
+        assert write_markdown(path, made())
+        assert page.read_text().startswith("before\n")
+        assert page.read_text().count("Nothing was compared") == count
+
+
+def test_the_name_of_a_renderer_may_have_anything(scene: Path) -> None:
+    found = validate({"one": tracer.load(scene)}, "native-f64", "native-f32", passes=["beauty"], size=(16, 12))
+    found.comparisons = [replace(comparison, renderer="cmd:a\x01") for comparison in found.comparisons]
+    assert ET.fromstring(junit(found))[0].attrib["name"] == "cmd:a\ufffd against native-f32"
+
+
+def test_a_file_may_have_a_name_that_is_no_text(run: Any, scene: Path, tmp_path: Path) -> None:
+    odd = tmp_path / os.fsdecode(b"f\xff.txt")
+    odd.write_text(scene.read_text())
+    files = ("--report", tmp_path / "r", "--junit", tmp_path / "j.xml", "--markdown", tmp_path / "m.md")
+    assert run("validate", odd, *NATIVE, "--size", "16x12", "--quiet", *files).status == 0
+    for written in ("r/index.html", "m.md", "j.xml"):
+        assert "f\ufffd.txt" in (tmp_path / written).read_text()
+
+
+@pytest.mark.parametrize("number", ["nan", "inf"])
+def test_an_id_that_is_no_number_fails_and_is_reported(
+    run: Any, scene: Path, tmp_path: Path, registered: Any, number: str
+) -> None:
+    def odd(arrays: Any) -> None:
+        arrays["id"] = arrays["id"].astype(float)
+        arrays["id"][3, 4] = float(number)
+
+    registered(Double(draw=with_arrays(odd)))
+    sides = ("validate", scene, "--renderer", "double", "--against", "numpy-f64", "--size", "16x12")
+    without = run(*sides)
+    assert without.status == 1
+    assert ("NaN" if number == "nan" else "infinite") in without.out
+    assert run(*sides, "--report", tmp_path / "r").status == 1
+    assert "double delivered" in (tmp_path / "r" / "index.html").read_text()

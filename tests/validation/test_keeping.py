@@ -1,11 +1,16 @@
-"""What is finished is on the disk, whole, after every scene, and stays there when the run ends early."""
+"""What is finished is on the disk, whole, while a run goes on, and stays there when it ends early."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+import click
 import doubles
 import pytest
 from conftest import strict
@@ -13,6 +18,7 @@ from doubles import Double, with_arrays
 from test_schema import STRICT
 
 import tracer
+from tracer.passes import replaceable
 from validation import proofs, speed, speed_kernels, validate
 from validation.commands import results
 from validation.commands.results import Results
@@ -112,15 +118,72 @@ def test_the_files_are_whole_after_every_scene(
     assert not list(tmp_path.rglob(".whitted-*"))
 
 
+QUICK = ("--renderer", "native-f64", "--against", "native-f32", "--size", "16x12")
+
+
+def test_a_pipe_gets_one_document_at_the_end(
+    run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert not replaceable(tmp_path / "pipe")
+    monkeypatch.setattr(results, "SHARE", float("inf"))
+    out = run("validate", *three, *QUICK, "--quiet", "--junit", "/dev/stdout").out
+    document, _, last = out.rpartition("</testsuites>\n")
+    assert ET.fromstring(f"{document}</testsuites>").attrib["skipped"] == "0"
+    assert last == "45 of 45 comparisons agree\n"
+
+
+@pytest.mark.parametrize("command", ["validate", "check"])
+def test_a_reader_that_has_gone_loses_no_file(three: list[Path], tmp_path: Path, command: str) -> None:
+    sides = QUICK if command == "validate" else ("--command", "raytrace {scene}")
+    words = [command, *map(str, three), *sides, "--json", str(tmp_path / "p.json"), "--report", str(tmp_path / "r")]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    code = "from validation import cli; from validation.commands import results; results.SHARE = 1e9; cli.main()"
+    done = subprocess.run([sys.executable, "-c", code, *words], stdout=theirs, stderr=subprocess.PIPE, check=False)
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (141, b"")
+    assert strict((tmp_path / "p.json").read_text())["unfinished"] == []
+    page = (tmp_path / "r" / "index.html").read_text()
+    assert page.rstrip().endswith("</html>")
+    assert "Unfinished" not in page
+
+
+def test_an_interrupted_run_writes_before_it_tells(tmp_path: Path) -> None:
+    outputs = results.Outputs(None, False, (), False, tmp_path / "r.json", None, None)
+    files = Results(click.Context(click.Command("x")), ["whitted"], outputs)
+
+    def gone(_: Any) -> None:
+        raise BrokenPipeError
+
+    files.kept = validate({"one": doubles.full()}, "native-f64", "native-f32", size=(16, 12))
+    files.kept.scenes, files.kept.unfinished = ("one", "two"), ("two",)
+    with pytest.raises(BrokenPipeError), files.keeping(gone):
+        raise KeyboardInterrupt
+    assert strict((tmp_path / "r.json").read_text())["unfinished"] == ["two"]
+
+
+def test_what_is_not_added_to_the_page_of_a_job_is_not_kept(
+    run: Any, three: list[Path], tmp_path: Path, registered: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "step.md"
+    page.write_text("before\n")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(page))
+    registered(Stops(2))
+    sides = ("--renderer", "double", "--against", "native-f64", "--size", "16x12")
+    assert run("validate", *three, *sides, "--markdown", page).err == "\ninterrupted: 2 of 3 scenes were finished\n"
+    assert page.read_text() == "before\n"
+
+
 def test_writing_again_takes_a_share_of_the_time(
     run: Any, three: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = []
     real = Results.write
 
-    def write(self: Results, result: Any, record: Any = None) -> list[Path]:
+    def write(self: Results, result: Any, record: Any = None, **options: Any) -> list[Path]:
         written.append(len(result.unfinished))
-        paths = real(self, result, record)
+        paths = real(self, result, record, **options)
         self._took = 1000.0  # as if it were a large one
         return paths
 

@@ -11,6 +11,11 @@ from typing import Any
 import doubles
 import pytest
 
+from validation.compare import Comparison
+from validation.pytest_plugin import message
+from validation.renderers import Settings
+from validation.run import Validation
+
 TESTS = """
 import tracer
 
@@ -57,7 +62,7 @@ def test_a_test_fails_where_renderers_differ(project: pytest.Pytester) -> None:
             "worst pixel x *",
             "  scene.txt: * it reflects 0 times, not 3*",
             "  hint: whitted validate scene.txt --renderer 'cmd:raytrace {scene} -o {output} --max-reflections 0' "
-            "--against native-f64 --report report",
+            "--against native-f64 --passes beauty --report report",
             "nothing was compared",
             "  scene: cmd:false {scene}: *",
         ]
@@ -77,6 +82,8 @@ def test_the_report_has_what_all_tests_compared(project: pytest.Pytester) -> Non
         assert renderer in text
     assert "cmd:false {scene} failed" in text
     assert "scene.txt [test_differ]" in text, "another test has compared passes of that scene before"
+    assert "whitted explain scene.txt " in text
+    assert "whitted explain &#39;scene.txt [" not in text
 
 
 def test_each_worker_of_xdist_has_a_report(project: pytest.Pytester) -> None:
@@ -86,6 +93,28 @@ def test_each_worker_of_xdist_has_a_report(project: pytest.Pytester) -> None:
     assert {page.parent.name for page in pages} <= {"gw0", "gw1"}
     assert pages
     result.stdout.fnmatch_lines([f"*whitted report: {page}*" for page in pages])
+
+
+def test_a_page_of_an_earlier_run_is_not_announced(project: pytest.Pytester) -> None:
+    earlier = project.path / "out" / "gw7" / "index.html"
+    earlier.parent.mkdir(parents=True)
+    earlier.write_text("earlier")
+    result = project.runpytest_subprocess("--whitted-report", "out", "-n", "1", "-k", "agree")
+    result.stdout.fnmatch_lines([f"*whitted report: {project.path / 'out' / 'gw0' / 'index.html'}*"])
+    assert "gw7" not in result.stdout.str()
+
+
+def test_the_hint_repeats_the_comparison() -> None:
+    settings = Settings(sample="center", max_reflections=1)
+    scenes = ["scenes/spec/diffuse-only.txt"]
+    options = {"size": (16, 12), "passes": ["beauty", "depth"], "settings": settings, "verdicts": 3}
+    result = Validation(
+        settings=settings, comparisons=[Comparison(scenes[0], (16, 12), "a", "b", "beauty", reasons=("x",))]
+    )
+    assert message(result, scenes, options).endswith(
+        "--renderer a --against b --size 16x12 --passes beauty,depth --verdicts 3 --sample center --max-reflections 1 "
+        "--report report"
+    )
 
 
 def test_a_page_of_somebody_else_is_kept(project: pytest.Pytester) -> None:

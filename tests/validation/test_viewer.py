@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import math
 import re
@@ -729,8 +730,8 @@ def test_without_a_map_of_flip_its_mode_is_grey_and_says_why(page: Any) -> None:
 
 
 @pytest.mark.parametrize("small", [False, True])
-def test_the_map_of_flip_is_a_mode(browser: Any, tmp_path: Path, *, small: bool) -> None:
-    pytest.importorskip("flip_evaluator")
+def test_the_map_of_flip_is_a_mode(browser: Any, tmp_path: Path, need: Any, *, small: bool) -> None:
+    need(importlib.util.find_spec("flip_evaluator"), "no flip-evaluator: pip install 'whitted[flip]'")
     report = Report(small=small)
     double = Double(draw=with_arrays(dented))
     result = validate({"full.txt": doubles.full()}, [double], "numpy-f64", on_rendered=report.add, flip=True)

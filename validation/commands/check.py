@@ -169,8 +169,7 @@ def check(
                     result, record = _together(results, command, templates[place + 1 :])
                     files.scene(result, functools.partial(dict, record))
         result, record = _together(results, command)
-        tell(result)
-        files.finish(result, record)
+        files.finish(result, tell, record)
     ctx.exit(max(entry.status for entry in results.values()))
 
 

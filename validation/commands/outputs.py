@@ -146,11 +146,3 @@ def check_included(report: Path | None, include: Sequence[Path]) -> None:
     """Whether there is a report for them."""
     if include and not report:
         raise CommandError("--include is about a report, and there is none", "--report DIR --include FILE")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Beside its place, then renamed: whole or not there."""
-    from tracer.passes import write_beside
-
-    with write_beside(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

@@ -1,4 +1,7 @@
-"""Where the results of a command go: files that are whole after every scene, and what is kept of what ends early."""
+"""Where the results of a command go: files that are whole at any time, and what is kept of what ends early.
+
+They are written again after a scene as long as that takes no more than a tenth of the time.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tracer.passes import replaceable
 from validation import records
 from validation.commands.errors import kept, nothing_kept
-from validation.commands.outputs import check_included, check_open, open_page, page_in, writable, write_text
+from validation.commands.outputs import check_included, check_open, open_page, page_in, writable
+from validation.pages import write_text
 
 if TYPE_CHECKING:
     from validation.report.report import Report
@@ -68,35 +73,55 @@ class Results:
         result.command = self._command
         self.kept, self._record = result.snapshot(), record
         if self.kept.unfinished and time.monotonic() - self._written >= self._took / SHARE:
-            self._write_kept(self.kept)
+            self._write_kept(self.kept, between=True)
 
-    def _write_kept(self, kept: Validation) -> list[Path]:
-        return self.write(kept, self._record() if self._record and self._outputs.json_file else None)
+    def _write_kept(self, kept: Validation, *, between: bool = False) -> list[Path]:
+        record = self._record() if self._record and self._outputs.json_file else None
+        return self.write(kept, record, between=between)
 
-    def write(self, result: Validation, record: Mapping[str, Any] | None = None) -> list[Path]:
-        """Write all files, and return their paths; `record`: what the JSON has, None: that of the result."""
-        start, to, paths = time.monotonic(), self._outputs, []
-        if to.json_file:
+    def write(
+        self, result: Validation, record: Mapping[str, Any] | None = None, *, between: bool = False
+    ) -> list[Path]:
+        """Write all files, and return their paths; `record`: what the JSON has, None: that of the result.
+
+        `between`: more is to come, so only files that can be replaced are written. What goes to a pipe cannot be taken
+        back.
+        """
+        start, to = time.monotonic(), self._outputs
+        paths: list[Path] = []
+
+        def due(file: Path | None) -> bool:
+            return file is not None and (not between or replaceable(file))
+
+        if to.json_file and due(to.json_file):
             record = result.record() if record is None else record
             records.write(to.json_file, record)
-        if to.junit:
+            paths.append(to.json_file)
+        if to.junit and due(to.junit):
             from validation.junit import junit
 
             write_text(to.junit, junit(result))
-        if to.markdown:
+            paths.append(to.junit)
+        if to.markdown and due(to.markdown):
             from validation.markdown import write_markdown
 
-            write_markdown(to.markdown, result)
-        paths = to.files
+            if write_markdown(to.markdown, result):
+                paths.append(to.markdown)
         if self.page and to.report:
             paths.append(self.page.write(to.report, result))
         self._written = time.monotonic()
         self._took = self._written - start
         return paths
 
-    def finish(self, result: Validation, record: Mapping[str, Any] | None = None) -> None:
-        """All is done: write, and say where the report is."""
+    def finish(
+        self, result: Validation, tell: Callable[[Validation], None], record: Mapping[str, Any] | None = None
+    ) -> None:
+        """All is done: write, tell it, and say where the report is.
+
+        Written first: who reads what is told may have gone, which ends the program.
+        """
         self.write(result, record)
+        tell(result)
         if self._outputs.report:
             page = self._outputs.report / "index.html"
             click.echo(page)
@@ -112,7 +137,8 @@ class Results:
         except KeyboardInterrupt as error:
             if self.kept is None:
                 raise
+            paths = self._write_kept(self.kept)
             tell(self.kept)
             every = len(self.kept.scenes)
             done = f"{every - len(self.kept.unfinished)} of {every} {self.kept.parts}s"
-            raise kept(self._write_kept(self.kept), done) from error
+            raise kept(paths, done) from error

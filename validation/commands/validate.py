@@ -111,6 +111,5 @@ def validate(
                 flip=flip,
             )
         result.command = command
-        tell(result)
-        results.finish(result)
+        results.finish(result, tell)
     ctx.exit(result.status)

@@ -13,6 +13,8 @@ from typing import Any
 from markupsafe import Markup
 
 from validation.report.plots import Axis, Look, Panel, Point, Series, decades, looks, places, plot, power
+from validation.speed_plot import family_of
+from validation.terminal import counted
 
 Record = Mapping[str, Any]
 
@@ -67,7 +69,13 @@ def read(path: Path) -> Included:
         IncludeError: it is none of the two kinds.
     """
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        record = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+        json.dumps(record, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        raise IncludeError(f"{path} has text that is no Unicode") from error
+    except RecursionError as error:
+        raise IncludeError(f"{path} is nested too deeply for a result of whitted") from error
     except ValueError as error:
         raise IncludeError(f"{path} is no JSON: {error}") from error
     if not isinstance(record, dict):
@@ -77,10 +85,25 @@ def read(path: Path) -> Included:
             return stability(record)
         if record.get("kind") == "speed":
             return speed(record)
+    except OverflowError as error:
+        raise IncludeError(f"{path} has a number that is too large to draw") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
         raise IncludeError(f"{path} is damaged, or of another version of whitted: {what}") from error
     raise IncludeError(f"{path} holds no stability curves and no speeds")
+
+
+def _finite(text: str) -> float:
+    """A number of the JSON itself, which has text for what is infinite or none."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is no finite number")
+    return number
+
+
+def _whole(text: str) -> int:
+    _finite(text)
+    return int(text)
 
 
 def value(number: float | str | None) -> float:
@@ -91,11 +114,6 @@ def value(number: float | str | None) -> float:
 def three(number: float) -> str:
     """Three digits."""
     return "none" if math.isnan(number) else f"{number:.3g}"
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _about(record: Record) -> tuple[str, dict[str, str]]:
@@ -239,11 +257,9 @@ def speed(record: Record) -> Included:
 
 
 def _family(entry: Record) -> str:
-    """As `validation.speed.Entry.family`."""
+    """What has one look: programs keep their commands, by which the legend tells them apart."""
     renderer = str(entry["renderer"])
-    if renderer.startswith("mitsuba-mesh"):
-        return "mitsuba-mesh"
-    return renderer if renderer.startswith("cmd:") else renderer.partition("@")[0]
+    return renderer if renderer.startswith("cmd:") else family_of(renderer)
 
 
 def _scene(scene: Record, shapes: Mapping[str, Look], most: int) -> Figure:

@@ -12,16 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from tracer.passes import TABLE, lookup, write_beside
+from tracer.passes import TABLE, lookup
 from validation import pairs
 from validation.compare import without_maps
+from validation.pages import environment, write_text
 from validation.report import pictures
 from validation.report.data import VIEWER, Data, modules
 from validation.report.verdicts import CAUSES, ROWS, SHAPES, VerdictsView, unexcused
 from validation.report.verdicts import view as view_verdicts
+from validation.terminal import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -278,16 +279,10 @@ class Report:
 
     def write(self, folder: Path, result: Validation) -> Path:
         """Write `index.html` into the folder and return its path."""
-        environment = Environment(
-            loader=PackageLoader("validation.report", "."),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        environment.filters |= {"short": short, "exact": exact, "cell": cell, "share": share, "number": counted}
-        environment.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
-        environment.filters |= {"scaled": scaled}
+        templates = environment()
+        templates.filters |= {"short": short, "exact": exact, "cell": cell, "share": share, "number": counted}
+        templates.filters |= {"breakable": breakable, "heading": heading, "bound": bound}
+        templates.filters |= {"scaled": scaled}
         style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
         style += (VIEWER / "viewer.css").read_text(encoding="utf-8")
         top = headline(result)
@@ -307,7 +302,7 @@ class Report:
             {"command": shlex.join(result.command), "versions": result.versions},
             {scene.anchor for scene in self._finished},
         )
-        page = environment.get_template("report.html.j2").render(
+        page = templates.get_template("report.html.j2").render(
             result=result,
             style=Markup(style),
             mark=Markup(MARK) + importlib.metadata.version("whitted"),
@@ -333,8 +328,7 @@ class Report:
             made=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         )
         path = folder / "index.html"
-        with write_beside(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        write_text(path, page)
         return path
 
     def _ordered(self) -> list[SceneView]:
@@ -513,11 +507,6 @@ def shared_folder(labels: Sequence[str]) -> str:
             break
         shared += f"{folders[0]}/"
     return shared
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def digits(value: float, form: str = ".2g") -> str:

@@ -220,14 +220,16 @@ def _row(verdict: Verdict, scene: str, pair: tuple[str, str], rendered: Rendered
         lookup(name).channels[channel : channel + 1],
         _text(name, balls[channel].value, of),
         (values[0], values[1]),
-        explain_command(rendered.label, of, rendered.settings, verdict.x, verdict.y, pair, rendered.convention),
+        explain_command(
+            rendered.path or rendered.label, of, rendered.settings, verdict.x, verdict.y, pair, rendered.convention
+        ),
     )
 
 
 def _text(name: str, value: float, scene: Scene) -> str:
     """A value with every digit, of an id the sphere's name."""
     quantity = lookup(name).quantity
-    if quantity == "id" and value == int(value):
+    if quantity == "id" and math.isfinite(value) and value == int(value):
         number = int(value)
         if 0 <= number < len(scene.spheres):
             return f"{number}, '{scene.spheres[number].name}'"
