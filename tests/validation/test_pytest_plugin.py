@@ -83,6 +83,7 @@ def test_the_report_has_what_all_tests_compared(project: pytest.Pytester) -> Non
     assert "cmd:false {scene} failed" in text
     assert "scene.txt [test_differ]" in text, "another test has compared passes of that scene before"
     assert "whitted explain scene.txt " in text
+    assert '"path": "scene.txt"' in text
     assert "whitted explain &#39;scene.txt [" not in text
 
 

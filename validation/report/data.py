@@ -191,7 +191,10 @@ class Data:
             "text": rendered.scene.text(),
             "spheres": [sphere.name for sphere in rendered.scene.spheres],
             "lights": [light.name for light in rendered.scene.lights],
-            "options": explain_options(rendered.label, rendered.scene, rendered.settings, rendered.convention),
+            "path": rendered.path or rendered.label,
+            "options": explain_options(
+                rendered.path or rendered.label, rendered.scene, rendered.settings, rendered.convention
+            ),
             "rays": guide.rays,
             "surfaces": guide.spheres,
             "margins": list(analysis.margins) if analysis and not self.small else [],

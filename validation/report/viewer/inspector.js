@@ -359,7 +359,7 @@ function quoted(word) {
 export function command(state, pixel) {
   const { scene } = state;
   const names = [state.a, state.b].map((place) => scene.renderers[place].name).filter((name, place, all) => !/^image(:|$)/.test(name) && all.indexOf(name) === place);
-  const where = scene.label === "<stdin>" ? "-" : scene.label;
+  const where = scene.path === "<stdin>" ? "-" : scene.path;
   const words = ["whitted", "explain", quoted(where), String(pixel[0]), String(pixel[1])];
   // Of commands one option each, as a comma may belong to a command.
   const commands = names.filter((name) => name.startsWith("cmd:"));

@@ -89,6 +89,8 @@ interface Pair {
 interface SceneEntry {
   key: string;
   label: string;
+  /** Where it is, which may be called otherwise. */
+  path: string;
   size: [number, number];
   /** What tells it from others with the same label and size, as drawn with other settings; empty: there are none. */
   as: string;
