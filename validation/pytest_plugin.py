@@ -193,7 +193,7 @@ def pytest_testnodedown(node: Any) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say where the report is."""
-    pages = config.stash[WRITTEN] if WRITTEN in config.stash else []
+    pages: list[str] = config.stash.get(WRITTEN, [])
     for page in sorted(pages):
         terminalreporter.write_line(f"whitted report: {page}")
 
