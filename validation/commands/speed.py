@@ -151,8 +151,7 @@ def speed(
                 note = f"--threads {count}: here are {counted(most, 'processor')}, so {most} it is"
                 result.left_out.append(Note("", "", note))
         result.command = command
-        with summing():
-            print_speed(result)
+        # Written before anything is printed: who reads that may have gone, which ends the program.
         if json_file:
             records.write(json_file, result.record())
         plotted, page = plot if module.panels(result) else None, None
@@ -160,10 +159,12 @@ def speed(
             from validation.speed_plot import write_plot
 
             write_plot(plotted, module.panels(result), module.caption(result))
-            click.echo(plotted)
         if report:
             page = write_page(report, result)
-            click.echo(page)
+        with summing():
+            print_speed(result)
+        for path in filter(None, (plotted, page)):
+            click.echo(path)
         if result.interrupted:
             raise kept((json_file, plotted, page), result.progress)
         if page and open_report:

@@ -118,10 +118,11 @@ def truth(
         # On a terminal what is printed beside the progress would go where the progress goes.
         if renderer:
             result.command, status = command, result.status
-            with summing():
-                print_certification(result)
+            # Written before anything is printed: who reads that may have gone, which ends the program.
             if json_file:
                 records.write(json_file, result.record())
+            with summing():
+                print_certification(result)
             if result.interrupted:
                 raise kept([json_file], result.progress)
         else:
