@@ -6,8 +6,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tracer.passes import write_beside
-
 if TYPE_CHECKING:
     from jinja2 import Environment
 
@@ -30,5 +28,7 @@ def write_text(path: Path, text: str) -> None:
 
     The name of a file may have bytes that are no UTF-8, which Python keeps as what UTF-8 cannot hold.
     """
+    from tracer.passes import write_beside
+
     with write_beside(path) as temporary:
         temporary.write_text(re.sub("[\ud800-\udfff]", "\ufffd", text), encoding="utf-8")

@@ -68,9 +68,18 @@ def opened(browser: Any, address: str, **options: Any) -> Any:
     return page
 
 
-@pytest.fixture(params=["light", "dark"])
-def page(request: pytest.FixtureRequest, browser: Any, address: str) -> Iterator[Any]:
-    found = opened(browser, address, color_scheme=request.param)
+#: Tests of what it looks like have the page in light and in dark.
+EITHER = pytest.mark.parametrize("scheme", ["light", "dark"])
+
+
+@pytest.fixture
+def scheme() -> str:
+    return "light"
+
+
+@pytest.fixture
+def page(scheme: str, browser: Any, address: str) -> Iterator[Any]:
+    found = opened(browser, address, color_scheme=scheme)
     yield found
     complaints = found.complaints
     found.close()
@@ -279,6 +288,7 @@ def test_levels_are_those_of_the_encodings(page: Any) -> None:
         ], name
 
 
+@EITHER
 def test_it_opens_at_what_is_worst_and_says_why(page: Any) -> None:
     settled(page, scene="scenes/full.txt", at="30,20", **{"pass": "beauty"})
     assert page.locator("#v-where").inner_text().startswith("x 30, y 20")
@@ -290,6 +300,7 @@ def test_it_opens_at_what_is_worst_and_says_why(page: Any) -> None:
     assert command == "whitted explain scenes/full.txt 30 20 --renderer double,numpy-f64 --size 64x48"
 
 
+@EITHER
 def test_every_mode_shows_something(page: Any) -> None:
     for key, mode in MODES.items():
         page.keyboard.press(key)
@@ -315,6 +326,7 @@ def test_every_mode_shows_something(page: Any) -> None:
     assert {before, page.locator(".stage figcaption").inner_text()} == {"A  double", "B  numpy-f64"}
 
 
+@EITHER
 def test_verdicts_are_told_by_shape_and_words(page: Any) -> None:
     page.keyboard.press("v")
     settled(page, mode="verdict")
@@ -330,6 +342,7 @@ def test_verdicts_are_told_by_shape_and_words(page: Any) -> None:
     page.wait_for_function("/at=\\d/.test(location.hash)")
 
 
+@EITHER
 def test_edges_are_outlined_in_every_line_style(page: Any) -> None:
     page.locator("#v-a").select_option(label="native-f32")
     settled(page, a="native-f32")
@@ -646,6 +659,7 @@ POOR = """selector => {
 }"""
 
 
+@EITHER
 def test_text_of_the_viewer_has_contrast_in_every_mode_and_controls_have_names(page: Any) -> None:
     whole(page)
     for key in MODES:
@@ -674,6 +688,7 @@ def test_text_of_the_viewer_has_contrast_in_every_mode_and_controls_have_names(p
     assert page.locator("#viewer img:not([alt])").count() == 0
 
 
+@EITHER
 def test_tab_goes_through_list_tools_picture_and_inspector_and_shows_where_it_is(page: Any) -> None:
     whole(page)
     page.evaluate("document.activeElement.blur()")

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tracer.passes import replaceable
 from validation import records
 from validation.commands.errors import kept, nothing_kept
 from validation.commands.outputs import check_included, check_open, open_page, page_in, writable
@@ -87,6 +86,8 @@ class Results:
         `between`: more is to come, so only files that can be replaced are written. What goes to a pipe cannot be taken
         back.
         """
+        from tracer.passes import replaceable
+
         start, to = time.monotonic(), self._outputs
         paths: list[Path] = []
 

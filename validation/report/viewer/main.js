@@ -98,7 +98,8 @@ function writeAddress() {
   if (writing) return;
   writing = window.setTimeout(() => {
     writing = 0;
-    if (viewer.hidden) return;
+    // A link to the report may have been followed meanwhile.
+    if (viewer.hidden || plainly()) return;
     const further = addressed !== "" && addressed !== state.scene.key;
     addressed = state.scene.key;
     if (further) history.pushState(null, "", address(state));
@@ -792,11 +793,15 @@ function onKey(event) {
   event.preventDefault();
 }
 
+/** Whether the address is of the report in plain words: what is no address of the viewer is an anchor there. */
+function plainly() {
+  const target = location.hash.startsWith("#/") ? null : document.querySelector(":target");
+  return location.hash === "#report" || (target !== null && report.contains(target));
+}
+
 /** Which of the two is shown, and what. */
 function route() {
-  // What is no address of the viewer is an anchor of the report.
-  const target = location.hash.startsWith("#/") ? null : document.querySelector(":target");
-  const plain = location.hash === "#report" || (target !== null && report.contains(target));
+  const plain = plainly();
   viewer.hidden = plain;
   report.hidden = !plain;
   document.documentElement.classList.remove("opening");
