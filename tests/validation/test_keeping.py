@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import sysconfig
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,11 @@ def test_a_pipe_gets_one_document_at_the_end(
 
 @pytest.mark.parametrize("command", ["validate", "check"])
 def test_a_reader_that_has_gone_loses_no_file(three: list[Path], tmp_path: Path, command: str) -> None:
-    sides = QUICK if command == "validate" else ("--command", "raytrace {scene}")
+    sides = (
+        QUICK
+        if command == "validate"
+        else ("--command", f"{Path(sysconfig.get_path('scripts'), 'raytrace')} {{scene}}")
+    )
     words = [command, *map(str, three), *sides, "--json", str(tmp_path / "p.json"), "--report", str(tmp_path / "r")]
     ours, theirs = os.pipe()
     os.close(ours)

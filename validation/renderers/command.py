@@ -312,17 +312,23 @@ def _temporary() -> Iterator[Path]:
     try:
         yield folder
     finally:
-        # Processes that have just been killed may end a write first.
-        deadline = time.monotonic() + 2
-        while folder.exists() and time.monotonic() < deadline:
-            # A folder that may not be read cannot be emptied.
-            with suppress(OSError):
-                folder.chmod(0o700)
-                for path, folders, _ in os.walk(folder):
-                    for inside in (Path(path, name) for name in folders):
-                        if not inside.is_symlink():
-                            inside.chmod(0o700)
-            shutil.rmtree(folder, ignore_errors=True)
+        # Ctrl-C once more leaves nothing behind.
+        with deferred():
+            _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    # Processes that have just been killed may end a write first.
+    deadline = time.monotonic() + 2
+    while folder.exists() and time.monotonic() < deadline:
+        # A folder that may not be read cannot be emptied.
+        with suppress(OSError):
+            folder.chmod(0o700)
+            for path, folders, _ in os.walk(folder):
+                for inside in (Path(path, name) for name in folders):
+                    if not inside.is_symlink():
+                        inside.chmod(0o700)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)

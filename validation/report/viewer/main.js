@@ -93,17 +93,20 @@ function change(changes) {
 let writing = 0;
 /** The scene of the address. */
 let addressed = "";
+/** The address as it was written or heeded last. */
+let known = location.hash;
 /** Browsers refuse to write an address more than 200 times in 30 seconds. Back leads to the scene before. */
 function writeAddress() {
   if (writing) return;
   writing = window.setTimeout(() => {
     writing = 0;
-    // A link to the report may have been followed meanwhile.
-    if (viewer.hidden || plainly()) return;
+    // Another address, that of a link or of a hand, is heeded first: see route.
+    if (viewer.hidden || location.hash !== known) return;
     const further = addressed !== "" && addressed !== state.scene.key;
     addressed = state.scene.key;
     if (further) history.pushState(null, "", address(state));
     else history.replaceState(null, "", address(state));
+    known = location.hash;
   }, 160);
 }
 
@@ -801,6 +804,7 @@ function plainly() {
 
 /** Which of the two is shown, and what. */
 function route() {
+  known = location.hash;
   const plain = plainly();
   viewer.hidden = plain;
   report.hidden = !plain;
