@@ -214,3 +214,34 @@ def with_arrays(change: Callable[[Arrays], None], *, recompose: bool = False) ->
         return Passes({name: arrays[name] for name in passes})
 
     return draw
+
+
+#: Elements below SELECTOR whose text has less contrast to its ground than WCAG asks for, 4.5 to 1.
+POOR = """selector => {
+    const parse = text => text.match(/[\\d.]+/g).map(Number);
+    const light = ([r, g, b]) => {
+        const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+        const [x, y, z] = [r, g, b].map(v => linear(v / 255));
+        return 0.2126 * x + 0.7152 * y + 0.0722 * z;
+    };
+    const ground = element => {
+        for (let at = element; at; at = at.parentElement) {
+            const color = parse(getComputedStyle(at).backgroundColor);
+            if (color.length === 3 || color[3] > 0) return color;
+        }
+        return [255, 255, 255];
+    };
+    const poor = [];
+    let seen = 0;
+    for (const element of document.querySelectorAll(selector)) {
+        const drawn = element instanceof SVGTextElement;
+        const text = drawn ? element.textContent : element.innerText;
+        if (!text?.trim() || !element.checkVisibility() || element.disabled) continue;
+        if (element instanceof SVGElement && !drawn) continue;
+        const both = [parse(getComputedStyle(element)[drawn ? "fill" : "color"]), ground(element)];
+        const [a, b] = both.map(light).sort((x, y) => y - x);
+        seen += 1;
+        if ((a + 0.05) / (b + 0.05) < 4.5) poor.push(`${element.tagName}.${element.className} ${text.slice(0, 20)}`);
+    }
+    return [seen, [...new Set(poor)]];
+}"""

@@ -805,3 +805,8 @@ def test_a_large_report_stays_small(tmp_path: Path) -> None:
     found = validate({"full": scene}, "native-f32", "numpy-f64", on_rendered=page.add)
     assert page.write(tmp_path, found).stat().st_size < len(found.comparisons) * 40e6 / (25 * 12)
     assert math.isfinite(found.comparisons[0].max or 0)
+
+
+def test_the_headline_of_a_check_keeps_the_words_of_the_diagnosis() -> None:
+    says = "most likely: it takes N.H in the place of R.V (3 of 3 pixels judged)"
+    assert headline(Validation(settings=Settings(), about=[says])).startswith(f"M{says[1:]}. ")

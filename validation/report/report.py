@@ -402,7 +402,8 @@ def headline(result: Validation) -> str:
     done = f"{len(result.scenes) - len(result.unfinished)} of {counted(len(result.scenes), result.parts)}"
     unfinished = f"Unfinished: {done}" if result.unfinished else ""
     # Of one program what is wrong with it.
-    likely = " and ".join(line for line in result.about if line.startswith("most likely")).capitalize()
+    likely = " and ".join(line for line in result.about if line.startswith("most likely"))
+    likely = likely[:1].upper() + likely[1:]
     return ". ".join(filter(None, (unfinished, failed(result.failures), wrong, likely, compared(result))))
 
 

@@ -352,12 +352,12 @@ async function fromFloats(mine) {
   const what = both
     ? `A − B of the channel that differs most${from}; orange and +: A is larger, blue and −: B is larger`
     : `largest difference of a channel${row.quantity === "normal" ? "s' vector" : ""}${from}, brighter is larger`;
-  const plainly = levels && !told ? `${levels}; these two were not compared: a level counts as the colour that it is over their number` : levels;
+  const bytes = levels && !told ? `${levels}; these two were not compared: a level counts as the colour that it is over their number` : levels;
   const none = scale ? "" : "; there is no difference";
   const few = scale ? ` or below 1e${scale[0]}` : "";
   return {
     panes: [{ title: both ? `${names[0]} − ${names[1]}` : `error of ${names[0]} against ${names[1]}`, image, signs: both ? signs : undefined }],
-    how: `${what}; black: ${told ? "the right level" : "none"}${few}; see-through: not compared${none}${plainly}${rounded}`,
+    how: `${what}; black: ${told ? "the right level" : "none"}${few}; see-through: not compared${none}${bytes}${rounded}`,
     bar: scale ? colorBar(scale, both, errors.some((error) => error > 10 ** scale[1])) : "",
   };
 }
